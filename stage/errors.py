@@ -1,0 +1,9 @@
+"""The two ways a command can fail that a person at the stage can do something about."""
+
+
+class InputError(ValueError):
+    """What was given cannot be used: one sentence that names the file and the field, and what was expected."""
+
+
+class DeviceError(RuntimeError):
+    """A device failed: one sentence that names the device, what was sent, what came back and what to do next."""

@@ -1,0 +1,16 @@
+"""Fixtures that all test packages share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of the reference photographs, which are not part of this repository."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("the reference photographs (../shared/data from the project's root) are not here")
+    return folder

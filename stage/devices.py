@@ -1,0 +1,194 @@
+"""What a session may ask of a device: one small protocol per role, whatever brand fills it.
+
+All calls block until they are done, and every wait inside them has a timeout. A device that fails raises
+`stage.errors.DeviceError`; a wish that it cannot fulfil (an angle beyond its travel, a level above one) is refused
+before anything moves or lights up. A device whose connection was lost stays in use until `close`: the next call
+connects it again, so that trying again is all that a caller need do.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Protocol, Self, runtime_checkable
+
+from stage.errors import DeviceError
+
+
+@runtime_checkable
+class Device(Protocol):
+    """Anything that is opened, used and put away."""
+
+    @property
+    def name(self) -> str:
+        """How errors call it: what it is and where it is plugged in."""
+        ...
+
+    def open(self) -> None:
+        """Connect, identify and prepare; does nothing where it is open already."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the port; callable from any state, any number of times, and never raises."""
+        ...
+
+    def make_safe(self) -> None:
+        """Go dark, still and idle; callable from any state, any number of times.
+
+        Does nothing on a device that is not in use. Raises `DeviceError` only where the device cannot be reached, so
+        that somebody learns that it may not be safe.
+        """
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+@runtime_checkable
+class Axis(Device, Protocol):
+    """One joint."""
+
+    @property
+    def limits_rad(self) -> tuple[float, float]:
+        """Least and greatest angle it may be sent to."""
+        ...
+
+    def position_rad(self) -> float:
+        """Where it is now, as measured."""
+        ...
+
+    def move_to(self, target_rad: float) -> float:
+        """Move, return the measured angle once settled; raise `DeviceError` on limit, stall or timeout."""
+        ...
+
+
+@runtime_checkable
+class AxisGroup(Device, Protocol):
+    """Joints that start together, so that a move takes as long as the slowest joint and no longer."""
+
+    @property
+    def limits_rad(self) -> tuple[tuple[float, float], ...]:
+        """Least and greatest angle per joint."""
+        ...
+
+    def positions_rad(self) -> tuple[float, ...]:
+        """Where the joints are now, as measured."""
+        ...
+
+    def move_to(self, targets_rad: Sequence[float]) -> tuple[float, ...]:
+        """Start all joints, wait for all, return their measured angles; raise `DeviceError` on limit, stall or timeout.
+
+        Every target is checked before any joint moves.
+        """
+        ...
+
+
+@runtime_checkable
+class Lamp(Device, Protocol):
+    """One light of one or more emitters (a white one, or red, green and blue)."""
+
+    @property
+    def emitters(self) -> int:
+        """How many levels it takes."""
+        ...
+
+    def set_level(self, level: float) -> tuple[float, ...]:
+        """Drive all emitters to the same level, 0 to 1; see `set_levels`."""
+        ...
+
+    def set_levels(self, levels: Sequence[float]) -> tuple[float, ...]:
+        """Drive each emitter to its own level, 0 to 1, and return once the light shows it.
+
+        Returns the levels really set, after rounding to the steps of the wire.
+        """
+        ...
+
+    def dark(self) -> None:
+        """Switch all emitters off."""
+        ...
+
+
+@dataclass(frozen=True)
+class CapturedFrame:
+    """One photograph as the camera filed it.
+
+    Attributes
+    ----------
+    data : bytes
+        The file, for example a camera RAW (DNG).
+    name : str
+        The camera's name for it.
+    exposure_s : float
+        Exposure time that the camera was set to, seconds.
+    started_s : float
+        When the exposure was asked for, on the clock of the camera's driver.
+    metadata : mapping of str to str
+        Whatever else the device tells (maker, model, serial number, capture date).
+    """
+
+    data: bytes
+    name: str
+    exposure_s: float
+    started_s: float
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+@runtime_checkable
+class FrameCamera(Device, Protocol):
+    """A still camera."""
+
+    def capture(self, exposure_s: float) -> CapturedFrame:
+        """Expose once and return the file; raises `InputError` for an exposure that the camera does not offer."""
+        ...
+
+
+class OpenedByWith(ABC):
+    """Give a device the `with` statement: opened on entry, made safe and closed on every way out."""
+
+    @abstractmethod
+    def open(self) -> None:
+        """See `Device.open`."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """See `Device.close`."""
+
+    @abstractmethod
+    def make_safe(self) -> None:
+        """See `Device.make_safe`."""
+
+    def __enter__(self) -> Self:
+        try:
+            self.open()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.make_safe()
+        except DeviceError as unsafe:
+            if error is None:
+                raise
+            error.add_note(f"and it could not be made safe: {unsafe}")
+        finally:
+            self.close()
+
+
+def make_all_safe(devices: Iterable[Device]) -> list[DeviceError]:
+    """Make every device safe, whatever the others do; return the errors of those that could not be."""
+    errors: list[DeviceError] = []
+    for device in devices:
+        try:
+            device.make_safe()
+        except DeviceError as error:
+            errors.append(error)
+    return errors

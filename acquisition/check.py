@@ -1,0 +1,139 @@
+"""Whether a plan can be carried out, asked before anything moves, and how long it will take."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import nnls
+
+from acquisition.plan import CapturePlan, PlannedLight, Shot
+from stage.errors import InputError
+from stage.lights import Triple
+from stage.rig import DmxLamp, Rig
+
+READOUT_S = 0.1
+"""Seconds that a frame is assumed to take from the end of its exposure to the disk."""
+DISK_RESERVE = 1.1
+"""Share of the estimated size that has to be free."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a capture will cost.
+
+    Attributes
+    ----------
+    shots : int
+        Exposures, dark frames included.
+    move_s, expose_s, readout_s : float
+        Seconds spent in moving and settling, with the shutter open, and reading out.
+    size_bytes : int
+        RAW frames and dataset together.
+    """
+
+    shots: int
+    move_s: float
+    expose_s: float
+    readout_s: float
+    size_bytes: int
+
+    @property
+    def total_s(self) -> float:
+        """Seconds from the first move to the last frame."""
+        return self.move_s + self.expose_s + self.readout_s
+
+
+def check(
+    plan: CapturePlan,
+    rig: Rig,
+    out: Path,
+    *,
+    shots: Sequence[Shot] | None = None,
+    offers: Callable[[float], bool] | None = None,
+    readout_s: float = READOUT_S,
+) -> Estimate:
+    """Refuse a plan that the rig cannot carry out; estimate the cost of one that it can.
+
+    Parameters
+    ----------
+    plan : CapturePlan
+        What to photograph.
+    rig : Rig
+        With what.
+    out : Path
+        Where the dataset will be; its folder or the nearest one above it says how much space there is.
+    shots : sequence of Shot, optional
+        Those that are still to be taken; all of the plan where none are given.
+    offers : callable, optional
+        Whether the camera has an exposure time.
+    readout_s : float
+        Seconds per frame for the estimate.
+
+    Raises
+    ------
+    InputError
+        A light out of reach or brighter than the lamp, an exposure that the camera lacks, or a disk too small.
+    """
+    ready = plan.with_exposure(rig.camera.device.exposure_s)
+    for exposure in ready.exposures_s:
+        if offers is not None and not offers(exposure):
+            raise InputError(f"plan: exposures_s: the camera offers no exposure time of {exposure:g} s")
+    shots = ready.shots() if shots is None else shots
+    joints, move_s = (0.0, 0.0), 0.0
+    for shot in shots:
+        if shot.light is None:
+            continue
+        target = reach(rig, shot, near_rad=joints)
+        lamp_levels(rig.light, shot.light, shot.candidate)
+        ways = zip(rig.motion.joints, joints, target, strict=True)
+        move_s += max(joint.travel_s(to - start) for joint, start, to in ways) + rig.motion.settle_s
+        joints = target
+
+    pixels = rig.camera.width * rig.camera.height
+    # A RAW frame has four photosites of 16 bits per pixel; a picture has three channels of 32.
+    size = pixels * (8 * len(shots) + 12 * len(ready.lights))
+    free = shutil.disk_usage(next(folder for folder in (out, *out.absolute().parents) if folder.is_dir())).free
+    if free < size * DISK_RESERVE:
+        raise InputError(
+            f"{out}: output: the disk is too small, {len(shots)} frames need {size / 1e6:.0f} MB "
+            f"and {free / 1e6:.0f} MB are free"
+        )
+    return Estimate(len(shots), move_s, sum(shot.exposure_s for shot in shots), readout_s * len(shots), size)
+
+
+def reach(rig: Rig, shot: Shot, near_rad: tuple[float, ...]) -> tuple[float, float]:
+    """Joint angles that put the light where a shot wants it, coming from `near_rad`; raises `InputError`."""
+    if shot.light is None or shot.light.position is None:
+        raise InputError(f"plan: candidates[{shot.candidate}]: a distant light has no place that an arm could reach")
+    try:
+        return rig.motion.joints_for_position(shot.light.position, near_rad)
+    except InputError as error:
+        raise InputError(f"plan: candidates[{shot.candidate}].position: {error}") from None
+
+
+def lamp_levels(lamp: DmxLamp, light: PlannedLight, candidate: int | None = None) -> tuple[float, ...]:
+    """Levels, 0 to 1 per emitter, that give the intensity a planned light asks for.
+
+    Raises `InputError` where the lamp is too weak or cannot mix the colour to within 1 %.
+    """
+    if light.intensity is None:
+        return (1.0,) * len(lamp.emitters)
+    mixing = np.array([emitter.intensity for emitter in lamp.emitters]).T
+    wanted = np.array(light.intensity)
+    levels, miss = nnls(mixing, wanted)
+    if miss > 0.01 * float(np.linalg.norm(wanted)) or levels.max() > 1 + 1e-6:
+        most = lamp.intensity_at([1.0] * len(lamp.emitters))
+        raise InputError(
+            f"plan: candidates[{candidate}].intensity: the lamp cannot give {_rounded(light.intensity)}; "
+            f"all its emitters together give {_rounded(most)}"
+        )
+    return tuple(min(float(level), 1.0) for level in levels)
+
+
+def _rounded(values: Triple) -> list[float]:
+    return [0.0 if value == 0 else round(value, 3 - math.floor(math.log10(value))) for value in values]

@@ -1,0 +1,143 @@
+"""From the record of a finished capture to the dataset: dark frames off, exposures merged, lights as measured."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from acquisition.dataset import IlluminationDataset, open_dataset, write_dataset
+from acquisition.radiance import DEMOSAIC, merge, radiance, read_raw
+from acquisition.record import CaptureRecord, TakenShot
+from stage.errors import InputError
+from stage.lights import Light
+from stage.rig import Rig
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """What is known of the object's surface, in the camera's pixels; see `acquisition.dataset.write_dataset`.
+
+    Attributes
+    ----------
+    depth : (height, width) float or None
+        Along the camera's z, metres, 0 outside.
+    normals : (height, width, 3) float or None
+        World frame.
+    mask : (height, width) bool, Path or None
+        Object.
+    mesh : (vertices, faces), Path or None
+        World frame, metres.
+    """
+
+    depth: ArrayLike | None = None
+    normals: ArrayLike | None = None
+    mask: ArrayLike | Path | None = None
+    mesh: tuple[ArrayLike, ArrayLike] | Path | None = None
+
+    def require_size(self, width: int, height: int) -> None:
+        """Refuse arrays that do not fit the pictures; raises `InputError`."""
+        for field, array, shape in (
+            ("depth", self.depth, (height, width)),
+            ("normals", self.normals, (height, width, 3)),
+            ("mask", None if isinstance(self.mask, Path) else self.mask, (height, width)),
+        ):
+            if array is not None and np.shape(array) != shape:
+                raise InputError(f"geometry.{field}: expected an array of shape {shape}, got {np.shape(array)}")
+
+
+def develop(
+    record: CaptureRecord,
+    rig: Rig,
+    *,
+    geometry: Geometry,
+    name: str,
+    progress: Callable[[float], None] = lambda share: None,
+) -> IlluminationDataset:
+    """Write the dataset of a capture into its folder, beside the record; ``dataset.json`` comes last.
+
+    Pictures are radiance in the units of the rig's light where its camera is calibrated
+    (`stage.rig.CameraPlace.radiance_per_dn_s`), and relative where it is not. Lights stand where the joints were
+    measured.
+
+    Raises
+    ------
+    InputError
+        Where a RAW file is not what was recorded, the geometry does not fit, or the disk cannot be written.
+    """
+    plan, per_dn_s = record.plan, rig.camera.radiance_per_dn_s
+    dark = {t: _mean_dark(record, t) for t in plan.exposures_s}
+    shares: dict[str, float] = {}  # filled while the pictures are written, so before the manifest is
+
+    def frames() -> Iterator[tuple[Light, NDArray[np.float32], dict[str, Any]]]:
+        for done, candidate in enumerate(plan.lights):
+            shots = _shots_of(record, candidate)
+            brackets = [
+                radiance(
+                    read_raw(record.frame(shot), shot.file),
+                    shot.exposed_s,
+                    dark=dark[shot.exposure_s],
+                    per_dn_s=per_dn_s or (1.0, 1.0, 1.0),
+                )
+                for shot in shots
+            ]
+            picture = merge(brackets)
+            shares[str(candidate)] = picture.clipped_share
+            yield _mean_light([shot.light() for shot in shots]), picture.image, {"saturation": picture.saturation}
+            progress((done + 1) / len(plan.lights))
+
+    origin: dict[str, Any] = {
+        "software": f"lightstage {version('lightstage')}",
+        "demosaic": DEMOSAIC,
+        "radiance_per_dn_s": per_dn_s,
+        "dark": "frames without the lamp" if plan.dark_frames else "black level of the RAW files",
+        "clipped_share": shares,
+        "rig": rig.to_json(),
+        "plan": plan.to_json(),
+        "shots": [one.model_dump(mode="json") for _, one in sorted(record.taken.items())],
+    }
+    staging = record.folder / "developed"
+    write_dataset(
+        staging,
+        name=name,
+        frames=frames(),
+        camera=rig.camera.calibration(),
+        depth=geometry.depth,
+        normals=geometry.normals,
+        mask=geometry.mask,
+        mesh=geometry.mesh,
+        provenance={"capture": origin},
+        replace=True,
+    )
+    # The folder is a dataset from the moment its manifest arrives, so that comes last.
+    for part in sorted(staging.iterdir(), key=lambda path: path.name == "dataset.json"):
+        place = record.out / part.name
+        if place.is_dir():
+            shutil.rmtree(place)
+        part.replace(place)
+    staging.rmdir()
+    return open_dataset(record.out)
+
+
+def _shots_of(record: CaptureRecord, candidate: int | None) -> list[TakenShot]:
+    return [one for _, one in sorted(record.taken.items()) if one.candidate == candidate]
+
+
+def _mean_dark(record: CaptureRecord, exposure_s: float) -> NDArray[np.float64] | None:
+    of = [shot for shot in _shots_of(record, None) if shot.exposure_s == exposure_s]
+    if not of:
+        return None
+    total = sum(read_raw(record.frame(shot), shot.file).values for shot in of)
+    return np.asarray(total / len(of))
+
+
+def _mean_light(lights: list[Light]) -> Light:
+    """One light for the exposures of a bracket, between which the joints hardly move."""
+    position, intensity = (np.mean([getattr(one, key) for one in lights], axis=0) for key in ("position", "intensity"))
+    return Light(position=tuple(position), intensity=tuple(intensity))

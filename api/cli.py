@@ -1,0 +1,253 @@
+"""Command ``lightstage``: every verb, its options, and nothing else; the work is in `api.verbs`.
+
+Only what every verb needs is imported here, so that ``--help`` and a mistyped option answer at once.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from api import console
+
+app = typer.Typer(
+    name="lightstage",
+    cls=console.OneSentence,
+    help="Plan, capture, reconstruct and relight with a light stage, and say how wrong the result is.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+Json = Annotated[bool, typer.Option("--json", help="One JSON value on stdout, progress on stderr.")]
+Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="A dataset, or any folder that 'import' reads.")]
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for datasets, models, pictures and report.html.")] = Path(
+        "demo-out"
+    ),
+    json: Json = False,
+) -> None:
+    """Plan, capture on the simulated stage, fit, relight and report."""
+    from api.demonstration import demo as run
+
+    with console.progress("demo") as progress:
+        result = run(out, progress=progress)
+    if json:
+        console.write_json(result)
+        return
+    _write_rows(result["models"])
+    console.write_facts(
+        {
+            "lights": f"{result['plan']['count']} of {result['candidates']}",
+            "seconds": f"{result['seconds']:.0f}",
+            "report": result["report"],
+        }
+    )
+
+
+@app.command(name="import")
+def import_(
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Folder of photographs.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="New dataset folder.")],
+    format: Annotated[str, typer.Option(metavar="auto|dataset|lp|diligent|psbox", help="Layout of SOURCE.")] = "auto",
+    transfer: Annotated[
+        str, typer.Option(metavar="auto|linear|srgb|gamma:2.2", help="How stored values relate to radiance.")
+    ] = "auto",
+    lp: Annotated[str | None, typer.Option(metavar="NAME", help="Which .lp file, where SOURCE holds several.")] = None,
+    json: Json = False,
+) -> None:
+    """Write a foreign folder of photographs as a dataset."""
+    from api.verbs.importing import import_ as run
+
+    with console.progress("import"):
+        result = run(source, out, format=format, transfer=transfer, lp=lp)
+    _write(result, json)
+
+
+@app.command()
+def plan(
+    out: Annotated[Path, typer.Option(metavar="plan.json", help="Plan to write.")],
+    rig: Annotated[
+        Path | None, typer.Option(metavar="RIG", help="Description of the stage; its dome of lights is planned with.")
+    ] = None,
+    candidates: Annotated[
+        Path | None, typer.Option(metavar="DATASET|lights.json", help="Lights to choose from.")
+    ] = None,
+    surface: Annotated[
+        Path | None, typer.Option(metavar="FILE|DATASET", help="What is to be lit: a mesh, or a dataset with depth.")
+    ] = None,
+    method: Annotated[
+        str, typer.Option(metavar="NAME", help="static, greedy, optimal, information, farthest or random.")
+    ] = "greedy",
+    count: Annotated[int | None, typer.Option(metavar="K", help="Choose exactly K lights.")] = None,
+    target: Annotated[
+        float | None,
+        typer.Option(metavar="F", help="Share of what all candidates can show, per component; 1 by default."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Choose the lights that show the most."""
+    from api.verbs.planning import plan as run
+
+    with console.progress("plan") as progress:
+        result = run(
+            out,
+            rig=rig,
+            candidates=candidates,
+            surface=surface,
+            method=method,
+            count=count,
+            target=target,
+            progress=progress,
+        )
+    _write(result, json)
+
+
+@app.command()
+def capture(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="New dataset folder.")],
+    rig: Annotated[Path, typer.Option(metavar="RIG", help="Description of the stage and its devices.")],
+    plan: Annotated[Path, typer.Option(metavar="plan.json", help="Where the light goes.")],
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Take only what an interrupted capture has not taken.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Photograph the object under every light of a plan."""
+    from api.verbs.capturing import capture as run
+
+    with console.progress("capture") as progress:
+        result = run(rig, plan, out, resume=resume, progress=progress)
+    _write(result, json)
+
+
+@app.command()
+def fit(
+    dataset: Dataset,
+    model: Annotated[str, typer.Option(metavar="NAME", help="Which model.")],
+    out: Annotated[Path, typer.Option(metavar="MODEL", help="New model folder.")],
+    lights: Annotated[str | None, typer.Option(metavar="0,5,7", help="Fit to these images only.")] = None,
+    exclude: Annotated[str | None, typer.Option(metavar="1,6,11", help="Fit to all but these images.")] = None,
+    json: Json = False,
+) -> None:
+    """Learn how the object answers light."""
+    from api.verbs.fitting import fit as run
+
+    with console.progress(f"fit {model}") as progress:
+        result = run(dataset, model, out, lights=lights, exclude=exclude, progress=progress)
+    _write(result, json)
+
+
+@app.command()
+def relight(
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="Folder written by 'fit'.")],
+    lights: Annotated[
+        Path, typer.Option(metavar="lights.json", help="Lights to render; an inner list is lit together.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="New folder: one linear EXR per light.")],
+    json: Json = False,
+) -> None:
+    """Render a model under light that was never there."""
+    from api.verbs.relighting import relight as run
+
+    with console.progress("relight") as progress:
+        result = run(model, lights, out, progress=progress)
+    if json:
+        console.write_json(result)
+        return
+    rows = [[picture["image"], f"{100 * picture['outside_share']:.1f} %"] for picture in result["images"]]
+    console.write_table(f"{result['out']} ({result['model']})", ["image", "outside"], rows)
+
+
+@app.command()
+def evaluate(
+    dataset: Dataset,
+    model: Annotated[list[str], typer.Option(metavar="NAME", help="Which model; may be given several times.")],
+    test: Annotated[
+        Path | None, typer.Option(metavar="DATASET", help="Judge on this set; the models are fitted to all of DATASET.")
+    ] = None,
+    holdout: Annotated[
+        str | None,
+        typer.Option(metavar="every:5|folds:5|random:F:SEED|i,j,...", help="Images to hold out; every:5 by default."),
+    ] = None,
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="HTML page with pictures to write.")] = None,
+    json: Json = False,
+) -> None:
+    """Chart models on lights they were not fitted to."""
+    from api.verbs.evaluating import evaluate as run
+
+    with console.progress("evaluate") as progress:
+        evaluation = run(dataset, model, test=test, holdout=holdout, report=report, progress=progress)
+    rows = [row.to_json() for row in evaluation.rows]
+    if json:
+        console.write_json(rows)
+        return
+    _write_rows(rows)
+    if report is not None:
+        console.write_facts({"report": report})
+
+
+@app.command()
+def bench(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for JSON, pictures and a page.")] = Path("bench-out"),
+    json: Json = False,
+) -> None:
+    """Measure speed against accuracy, and stability."""
+    from api.verbs.benchmarking import bench as run
+
+    with console.progress("bench") as progress:
+        result = run(out, progress=progress)
+    _write(result, json)
+
+
+def _write(result: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        console.write_json(result)
+    else:
+        console.write_facts({key: value for key, value in result.items() if value not in ([], {}, None)})
+
+
+def _write_rows(rows: list[dict[str, Any]]) -> None:
+    figures = {
+        "mae": "MAE",
+        "psnr": "PSNR",
+        "ssim": "SSIM",
+        "mae_object": "MAE obj",
+        "psnr_object": "PSNR obj",
+        "fit_s": "fit s",
+        "render_ms_per_megapixel": "ms/MP",
+        "peak_mib": "MiB",
+    }
+    shown = {key: label for key, label in figures.items() if any(row.get(key) is not None for row in rows)}
+    table = [
+        [
+            row["model"],
+            str(row["train"]),
+            str(row["test"]),
+            *("-" if row.get(key) is None else f"{row[key]:.4g}" for key in shown),
+        ]
+        for row in rows
+    ]
+    console.write_table(
+        "held-out lights (8-bit grey levels, dB, seconds, milliseconds per megapixel)",
+        ["model", "train", "test", *shown.values()],
+        table,
+    )
+
+
+def main() -> None:
+    """Entry of the console script."""
+    if not console.debugging():
+        # What a library warns of is for its callers; a person reads one sentence, and machines read stderr by the line.
+        warnings.simplefilter("ignore")
+    app(prog_name="lightstage")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""What a command says: results on stdout, progress and errors on stderr, one sentence per error."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from typer.core import TyperGroup
+from typer.exceptions import Abort, TyperException
+
+from stage.errors import DeviceError, InputError
+
+Progress = Callable[[float], None]
+
+BAD_INPUT, FAILED, INTERRUPTED = 2, 1, 130
+DEBUG = "LIGHTSTAGE_DEBUG"
+QUIET_SPELL_S = 5.0
+"""Where stderr is no terminal, a line of progress at most this often."""
+
+
+class OneSentence(TyperGroup):
+    """The command group whose every failure is an exit code and one sentence on stderr, never a traceback."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Parse, run and exit."""
+        kwargs["standalone_mode"] = False
+        sys.exit(exit_code(lambda: super(OneSentence, self).main(*args, **kwargs)))
+
+
+def exit_code(run: Callable[[], object]) -> int:
+    """Run and return the process's exit code; with ``LIGHTSTAGE_DEBUG=1`` failures pass through as they are."""
+    try:
+        returned = run()
+    except KeyboardInterrupt:
+        returned = INTERRUPTED
+    except Exception as error:
+        if debugging():
+            raise
+        return _told(error)
+    if returned == INTERRUPTED:
+        _say("interrupted")
+    return returned if isinstance(returned, int) else 0
+
+
+def debugging() -> bool:
+    """Whether a person asked for tracebacks and warnings."""
+    return os.environ.get(DEBUG, "") not in ("", "0")
+
+
+def _told(error: Exception) -> int:
+    if isinstance(error, TyperException):
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context is not None else "lightstage"
+        _say(f"{error.format_message().rstrip('.')}; '{command} --help' lists what it takes")
+        return error.exit_code
+    if isinstance(error, InputError):
+        _say(str(error))
+        return BAD_INPUT
+    if isinstance(error, DeviceError):
+        _say(str(error))
+        return FAILED
+    if isinstance(error, Abort):
+        _say("aborted")
+        return FAILED
+    if isinstance(error, BrokenPipeError):
+        # Whoever read stdout has gone; without this the interpreter complains once more as it closes the stream.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    _say(f"failed with {type(error).__name__}: {error}; run it again with {DEBUG}=1 for the traceback")
+    return FAILED
+
+
+def _say(sentence: str) -> None:
+    print("lightstage: " + " ".join(sentence.split()), file=sys.stderr)
+
+
+def write_json(value: Any) -> None:
+    """Print one JSON value to stdout; see `as_json`."""
+    print(as_json(value))
+
+
+def as_json(value: Any) -> str:
+    """Text of a JSON value; numpy numbers and arrays and paths are understood, what is not finite is a `ValueError`."""
+    return json.dumps(value, indent=1, allow_nan=False, default=_plain)
+
+
+def _plain(value: Any) -> Any:
+    """JSON for numpy scalars and arrays, paths and the like."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+def write_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
+    """Print a table for people to stdout; the first column is text, the others are figures."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", header_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for number, column in enumerate(columns):
+        table.add_column(column, justify="right" if number else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    console = Console(file=sys.stdout)
+    # A narrow window wraps a line; it must not cost a figure.
+    console.width = max(console.width, console.measure(table, options=console.options.update(width=1000)).maximum)
+    console.print(table)
+
+
+def write_facts(facts: dict[str, Any]) -> None:
+    """Print labelled values for people to stdout, one a line."""
+    width = max((len(label) for label in facts), default=0)
+    for label, value in facts.items():
+        print(f"{label:<{width}}  {value}")
+
+
+@contextmanager
+def progress(label: str) -> Iterator[Progress]:
+    """Show how far a step is: a bar that vanishes on a terminal, else a line now and then and one at the end.
+
+    A step that fails early prints nothing, so that its error stays alone on stderr.
+    """
+    if not sys.stderr.isatty():
+        yield from _lines(label)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bars
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Bars(*columns, console=Console(file=sys.stderr), transient=True) as bars:
+        task = bars.add_task(label, total=1.0)
+        yield lambda share: bars.update(task, completed=share)
+
+
+def _lines(label: str) -> Iterator[Progress]:
+    begin = last = time.monotonic()
+
+    def show(share: float) -> None:
+        nonlocal last
+        if time.monotonic() - last >= QUIET_SPELL_S:
+            last = time.monotonic()
+            print(f"{label}: {100 * share:.0f} %", file=sys.stderr, flush=True)
+
+    yield show
+    print(f"{label}: done in {time.monotonic() - begin:.1f} s", file=sys.stderr, flush=True)

@@ -1,0 +1,31 @@
+"""``rig.yaml``: the description of a stage, read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+
+from stage.errors import InputError
+from stage.rig import Rig, rig_from_mapping
+
+
+def read_rig(path: Path) -> Rig:
+    """Read and check a rig description (YAML, of which JSON is a part).
+
+    Raises
+    ------
+    InputError
+        One sentence that names the file and the first field that is wrong.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; expected the description of a stage") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not text ({error.reason})") from None
+    except (yaml.YAMLError, RecursionError) as error:
+        raise InputError(f"{path}: is not YAML ({error})") from None
+    return rig_from_mapping(data, str(path))

@@ -1,0 +1,93 @@
+"""Verb ``capture``: photograph the object under every light of a plan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from acquisition.developing import Geometry
+from acquisition.plan import CapturePlan, read_plan
+from acquisition.session import capture as take
+from api.devices import open_bench
+from api.rig_file import read_rig
+from api.surface_source import read_surface
+from api.verbs.importing import describe
+from reconstruct.evaluate import same_camera
+from reconstruct.model import Progress, no_progress
+from stage.errors import InputError
+from stage.rig import Rig
+
+
+def capture(
+    rig: Path, plan: Path, out: Path, *, resume: bool = False, progress: Progress = no_progress
+) -> dict[str, Any]:
+    """Drive the rig's devices through a plan and write the dataset folder `out`.
+
+    Parameters
+    ----------
+    rig : Path
+        ``rig.yaml``; ports that begin with ``sim:`` are simulated (see `api.devices`).
+    plan : Path
+        ``plan.json`` as ``plan`` writes it. The surface that it was made for becomes the dataset's geometry.
+    resume : bool
+        Go on with an interrupted capture of the same plan.
+
+    Returns
+    -------
+    dict
+        ``out``, and what `api.verbs.importing.describe` says of the dataset.
+
+    Raises
+    ------
+    InputError
+        Before anything moves, for a plan that the rig cannot carry out or a place that cannot be written.
+    DeviceError
+        Where a device failed; the frames taken so far are kept for `resume`.
+    """
+    description, planned = read_rig(rig), read_plan(plan)
+    geometry = planned_surface(planned, description, source=plan)
+    try:
+        with open_bench(description) as bench:
+            # The description with "sim:" ports, not the passing pseudo-terminals, is what the dataset should remember.
+            dataset = take(
+                planned,
+                bench.motion,
+                bench.lamp,
+                bench.camera,
+                out,
+                rig=description,
+                resume=resume,
+                geometry=geometry,
+                clock=bench.clock,
+                progress=progress,
+            )
+    except InputError as error:
+        raise InputError(_named(str(error), rig=rig, plan=plan)) from None
+    return {"out": str(out), **describe(dataset)}
+
+
+def planned_surface(plan: CapturePlan, rig: Rig, *, source: Path) -> Geometry:
+    """Geometry of the surface that a plan was made for; empty where it was made for none.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be read any more, or is not as the rig's camera sees it.
+    """
+    place = plan.provenance.get("surface")
+    if not isinstance(place, str):
+        return Geometry()
+    field = f"{source}: provenance.surface"
+    if not Path(place).exists():
+        raise InputError(f"{field}: {place!r} is gone; put it back, or remove the field to capture without geometry")
+    camera = rig.camera.calibration()
+    surface = read_surface(Path(place), camera)
+    if surface.camera is None or not same_camera(surface.camera, camera):
+        raise InputError(f"{field}: {place!r} was not seen by the rig's camera; plan for its own surface")
+    return surface.geometry
+
+
+def _named(sentence: str, **files: Path) -> str:
+    """The sentence with the file in place of the word that stands for it."""
+    word, _, rest = sentence.partition(": ")
+    return f"{files[word]}: {rest}" if word in files else sentence

@@ -1,0 +1,1 @@
+"""Closed forms of how a surface point answers light."""

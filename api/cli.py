@@ -83,7 +83,7 @@ def plan(
         Path | None, typer.Option(metavar="FILE|DATASET", help="What is to be lit: a mesh, or a dataset with depth.")
     ] = None,
     method: Annotated[
-        str, typer.Option(metavar="NAME", help="static, greedy, optimal, information, farthest or random.")
+        str, typer.Option(metavar="NAME", help="static, greedy, optimal, farthest or random.")
     ] = "greedy",
     count: Annotated[int | None, typer.Option(metavar="K", help="Choose exactly K lights.")] = None,
     target: Annotated[

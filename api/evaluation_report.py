@@ -31,6 +31,10 @@ LIVELY_PERCENTILE = 99.0
 """The pixel whose reflectance is plotted varies more over the lights than this share of the object's pixels."""
 
 
+_NOT_PICTURED = {"correlation", "estimated_diffuse", "estimated_specular"}
+"""Maps for machines: what a person wants of them stands in `estimated` and the maps of standard deviations."""
+
+
 @dataclass(frozen=True, eq=False)
 class Seen:
     """What is kept for the report of a fitted model that is dropped.
@@ -182,7 +186,7 @@ def maps_of(evaluation: Evaluation, mask: NDArray[np.bool_]) -> MapView | None:
     if not with_maps:
         return None
     result = min(with_maps, key=lambda r: ("specular" not in r.inspected.maps, r.row.mae))
-    maps = dict(result.inspected.maps)
+    maps = {name: values for name, values in result.inspected.maps.items() if name not in _NOT_PICTURED}
     estimated = maps.pop("estimated", None)
     return MapView(maps, result.row.model, mask, None if estimated is None else estimated > 0.5)
 

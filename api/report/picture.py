@@ -100,7 +100,7 @@ def _first_row(content: ReportContent) -> list[_Tile]:
         figures = [f"MAE {number(comparison.mae, 3)} grey levels"] if comparison.mae is not None else []
         figures += [f"PSNR {number(comparison.psnr, 4)} dB"] if comparison.psnr is not None else []
         tiles += [
-            _Tile("real photograph, held out", real, comparison.light),
+            _Tile("photograph, held out", real, comparison.light),
             _Tile(f"rendered: {comparison.model}", rendered, ", ".join(figures)),
             _Tile(
                 "size of the difference",

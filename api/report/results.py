@@ -154,7 +154,7 @@ def _by_light(comparisons: Sequence[Comparison]) -> list[Comparison]:
 
 def _comparison_rows(light: str, same: Sequence[Comparison], top: int) -> str:
     """One light: real, rendered and difference in a row; with several models, a column for each of them."""
-    parts = [tile("real", image(_photograph(same[0].real, same[0]), f"Photograph taken under {light}."), [light])]
+    parts = [tile("photograph", image(_photograph(same[0].real, same[0]), f"Photograph taken under {light}."), [light])]
     for comparison in same:
         size = imaging.difference(comparison)
         figures = [

@@ -83,7 +83,7 @@ def _coefficients(vertices: Floats, facets: Ints, f: int, p: Vector, d: Vector) 
     return (scale * _dot(d, u), scale * _dot(d, _cross(c, a)), scale * _dot(d, _cross(a, b))), volume
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _walk(vertices: Floats, facets: Ints, neighbours: Ints, start: int, p: Vector, d: Vector) -> tuple[int, Vector]:
     """Go from facet to facet towards the ray; -1 where that does not end."""
     f = start
@@ -131,8 +131,8 @@ def _nearest_rim(vertices: Floats, facets: Ints, rim: Ints, p: Vector, d: Vector
         nn = _dot(n, n)
         if nn == 0.0:
             continue
-        # The ray's direction, laid into the plane of the edge and p, in terms of the edge's two ends.
-        wa, wb = _dot(_cross(d, b), n) / nn, _dot(_cross(a, d), n) / nn
+        # The ray's direction, laid into the plane of the edge and p, is (wa a + wb b) / nn.
+        wa, wb = _dot(_cross(d, b), n), _dot(_cross(a, d), n)
         if wa >= 0.0 and wb >= 0.0 and wa + wb > 0.0:
             off = _dot(n, d)
             along = np.sqrt(max(_dot(d, d) - off * off / nn, 0.0))
@@ -219,6 +219,144 @@ def classify(vertices: Floats, facets: Ints, points: Singles, object_mask: Mask,
     return out
 
 
+@njit(cache=True, inline="always")
+def _aim(
+    vertices: Floats,
+    facets: Ints,
+    neighbours: Ints,
+    real: int,
+    rim: Ints,
+    start: int,
+    p: Vector,
+    d: Vector,
+    hold_rim: bool,
+) -> tuple[int, int, Vector, float]:
+    """Facet to start the next pixel's walk from, facet for this ray, its weights, and the angle to where they hold."""
+    last, f, c = 0, -1, (0.0, 0.0, 0.0)
+    if start >= 0:
+        f, c = _walk(vertices, facets, neighbours, start, p, d)
+    if f >= 0:
+        last = f
+    else:
+        f, c = _search(vertices, facets, real, p, d)
+    angle = 0.0
+    if f < 0 or f >= real:
+        f = -1
+        if hold_rim:
+            f, c, angle = _nearest_rim(vertices, facets, rim, p, d)
+        if f < 0:  # asked for, or a point outside a closed surface, which has no rim
+            f, c, angle = _nearest_light(vertices, facets, real, p, d)
+        # A ray within rounding of the rim is outside all the same.
+        angle = max(angle, 1e-12)
+    return last, f, c, angle
+
+
+@njit(cache=True, inline="always")
+def _weigh(
+    vertices: Floats,
+    facets: Ints,
+    f: int,
+    p: Vector,
+    d: Vector,
+    coefficients: Vector,
+    from_origin: bool,
+    target_near: bool,
+    power: int,
+    share: Singles,
+    gain: Singles,
+    y: int,
+    x: int,
+) -> None:
+    """Turn ``d = sum c_k (v_k - p)`` into shares and gains of the three samples; c is barycentric up to its sum."""
+    c0, c1, c2 = coefficients
+    total = c0 + c1 + c2
+    w0, w1, w2 = _snapped(c0, total), _snapped(c1, total), _snapped(c2, total)
+    kept = w0 + w1 + w2
+    d2 = _dot(d, d)
+    far = d2 if target_near else 1.0
+    s0, s1, s2 = 1.0, 1.0, 1.0  # squared distances from p to the three lights
+    if not from_origin:
+        s0 = _distance2(vertices, facets[f, 0], p)
+        s1 = _distance2(vertices, facets[f, 1], p)
+        s2 = _distance2(vertices, facets[f, 2], p)
+    if power == 3 and not from_origin:
+        w0, w1, w2 = w0 * np.sqrt(s0), w1 * np.sqrt(s1), w2 * np.sqrt(s2)
+    along = w0 + w1 + w2
+    per = 1.0 / along
+    share[y, x, 0], share[y, x, 1], share[y, x, 2] = w0 * per, w1 * per, w2 * per
+    # s' lies at sqrt(d2) / total from p.
+    if power == 0:
+        common = (1.0 if from_origin else d2 / (total * total)) / far
+        s0, s1, s2 = 1.0, 1.0, 1.0
+    elif power == 2:
+        common = 1.0 / far
+    else:
+        common = along * total / (kept * np.sqrt(d2) * far)
+    gain[y, x, 0], gain[y, x, 1], gain[y, x, 2] = s0 * common, s1 * common, s2 * common
+
+
+@njit(cache=True)
+def _snapped(weight: float, total: float) -> float:
+    return weight if weight > SNAP * total else 0.0
+
+
+@njit(cache=True)
+def _distance2(vertices: Floats, k: int, p: Vector) -> float:
+    v = _sub(_row(vertices, k), p)
+    return _dot(v, v)
+
+
+@njit(cache=True)
+def _locate_row(
+    y: int,
+    vertices: Floats,
+    facets: Ints,
+    neighbours: Ints,
+    real: int,
+    rim: Ints,
+    bridging: Mask,
+    points: Singles,
+    how: Bytes,
+    from_origin: bool,
+    target: Floats,
+    target_near: bool,
+    power: int,
+    hold_rim: bool,
+    facet: Ints,
+    share: Singles,
+    gain: Singles,
+    outside: Mask,
+    beyond_rad: Singles,
+) -> None:
+    """One row of `locate`. Its helpers are inlined: handing arrays to a function costs as much as the arithmetic."""
+    facet[y] = -1
+    share[y] = 0.0
+    gain[y] = 0.0
+    outside[y] = False
+    beyond_rad[y] = 0.0
+    last = 0  # the pixel to the left mostly meets the same facet
+    for x in range(how.shape[1]):
+        if how[y, x] == OFF:
+            continue
+        p = (0.0, 0.0, 0.0)
+        d = (target[0], target[1], target[2])
+        if target_near or not from_origin:
+            q = _pixel(points, y, x)
+            if target_near:
+                d = _sub(d, q)
+                if _dot(d, d) <= TOUCHING * _dot(q, q):
+                    continue
+            if not from_origin:
+                p = q
+        start = last if how[y, x] == WALK else -1
+        last, f, c, angle = _aim(vertices, facets, neighbours, real, rim, start, p, d, hold_rim)
+        if f >= 0:
+            facet[y, x] = f
+            beyond_rad[y, x] = angle
+            outside[y, x] = angle > 0.0 or bridging[f]
+            _weigh(vertices, facets, f, p, d, c, from_origin, target_near, power, share, gain, y, x)
+
+
 @njit(cache=True, parallel=True)
 def locate(
     vertices: Floats,
@@ -275,117 +413,25 @@ def locate(
     outside = np.empty((h, w), np.bool_)
     beyond_rad = np.empty((h, w), np.float32)
     for y in prange(h):
-        facet[y] = -1
-        share[y] = 0.0
-        gain[y] = 0.0
-        outside[y] = False
-        beyond_rad[y] = 0.0
-        last = 0  # the pixel to the left mostly meets the same facet
-        for x in range(w):
-            if how[y, x] == OFF:
-                continue
-            p = (0.0, 0.0, 0.0)
-            d = (target[0], target[1], target[2])
-            if target_near or not from_origin:
-                q = _pixel(points, y, x)
-                if target_near:
-                    d = _sub(d, q)
-                    if _dot(d, d) <= TOUCHING * _dot(q, q):
-                        continue
-                if not from_origin:
-                    p = q
-            start = last if how[y, x] == WALK else -1
-            last, f, c, angle = _aim(vertices, facets, neighbours, real, rim, start, p, d, hold_rim)
-            if f >= 0:
-                facet[y, x] = f
-                beyond_rad[y, x] = angle
-                outside[y, x] = angle > 0.0 or bridging[f]
-                _weigh(vertices, facets, f, p, d, c, from_origin, target_near, power, share, gain, y, x)
+        _locate_row(
+            y,
+            vertices,
+            facets,
+            neighbours,
+            real,
+            rim,
+            bridging,
+            points,
+            how,
+            from_origin,
+            target,
+            target_near,
+            power,
+            hold_rim,
+            facet,
+            share,
+            gain,
+            outside,
+            beyond_rad,
+        )
     return facet, share, gain, outside, beyond_rad
-
-
-@njit(cache=True)
-def _aim(
-    vertices: Floats,
-    facets: Ints,
-    neighbours: Ints,
-    real: int,
-    rim: Ints,
-    start: int,
-    p: Vector,
-    d: Vector,
-    hold_rim: bool,
-) -> tuple[int, int, Vector, float]:
-    """Facet to start the next pixel's walk from, facet for this ray, its weights, and the angle to where they hold."""
-    last, f, c = 0, -1, (0.0, 0.0, 0.0)
-    if start >= 0:
-        f, c = _walk(vertices, facets, neighbours, start, p, d)
-    if f >= 0:
-        last = f
-    else:
-        f, c = _search(vertices, facets, real, p, d)
-    angle = 0.0
-    if f < 0 or f >= real:
-        f = -1
-        if hold_rim:
-            f, c, angle = _nearest_rim(vertices, facets, rim, p, d)
-        if f < 0:  # asked for, or a point outside a closed surface, which has no rim
-            f, c, angle = _nearest_light(vertices, facets, real, p, d)
-        # A ray within rounding of the rim is outside all the same.
-        angle = max(angle, 1e-12)
-    return last, f, c, angle
-
-
-@njit(cache=True)
-def _weigh(
-    vertices: Floats,
-    facets: Ints,
-    f: int,
-    p: Vector,
-    d: Vector,
-    coefficients: Vector,
-    from_origin: bool,
-    target_near: bool,
-    power: int,
-    share: Singles,
-    gain: Singles,
-    y: int,
-    x: int,
-) -> None:
-    """Turn ``d = sum c_k (v_k - p)`` into shares and gains of the three samples; c is barycentric up to its sum."""
-    c0, c1, c2 = coefficients
-    total = c0 + c1 + c2
-    w0, w1, w2 = _snapped(c0, total), _snapped(c1, total), _snapped(c2, total)
-    kept = w0 + w1 + w2
-    d2 = _dot(d, d)
-    far = d2 if target_near else 1.0
-    s0, s1, s2 = 1.0, 1.0, 1.0  # squared distances from p to the three lights
-    if not from_origin:
-        s0 = _distance2(vertices, facets[f, 0], p)
-        s1 = _distance2(vertices, facets[f, 1], p)
-        s2 = _distance2(vertices, facets[f, 2], p)
-    if power == 3 and not from_origin:
-        w0, w1, w2 = w0 * np.sqrt(s0), w1 * np.sqrt(s1), w2 * np.sqrt(s2)
-    along = w0 + w1 + w2
-    per = 1.0 / along
-    share[y, x, 0], share[y, x, 1], share[y, x, 2] = w0 * per, w1 * per, w2 * per
-    # s' lies at sqrt(d2) / total from p.
-    if power == 0:
-        common = (1.0 if from_origin else d2 / (total * total)) / far
-        s0, s1, s2 = 1.0, 1.0, 1.0
-    elif power == 2:
-        common = 1.0 / far
-    else:
-        common = along * total / (kept * np.sqrt(d2) * far)
-    gain[y, x, 0], gain[y, x, 1], gain[y, x, 2] = s0 * common, s1 * common, s2 * common
-
-
-@njit(cache=True)
-def _snapped(weight: float, total: float) -> float:
-    return weight if weight > SNAP * total else 0.0
-
-
-@njit(cache=True)
-def _distance2(vertices: Floats, k: int, p: Vector) -> float:
-    v = _sub(_row(vertices, k), p)
-    return _dot(v, v)

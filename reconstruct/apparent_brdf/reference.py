@@ -43,8 +43,10 @@ def relight(
     met : (height, width) bool
         Where it meets one, holes included.
     """
-    shape = images.shape[1:3]
-    relative = np.zeros((*shape, 3)) if points is None else points - mesh.centre
+    # All rays are one where both the photographed and the wanted lights are distant.
+    one_ray = mesh.distant and light.position is None
+    shape = (1, 1) if one_ray else images.shape[1:3]
+    relative = np.zeros((*shape, 3)) if one_ray or points is None else points - mesh.centre
     if light.position is not None:
         ray = np.asarray(light.position) - mesh.centre - relative
         distance2 = (ray**2).sum(axis=-1)
@@ -62,7 +64,7 @@ def relight(
     if mesh.distant and power < 3:
         hit = np.ones(shape)  # all distances are equal, namely infinite; only the weights see the facet's chord
     factor = weights * reach**power * hit[..., None] ** (2 - power) / distance2[..., None]
-    rows, columns = np.indices(shape)
+    rows, columns = np.indices(images.shape[1:3])
     samples = np.stack([images[corners[..., k], rows, columns] for k in range(3)], axis=-2).astype(float)
     if mean == "linear":
         out = (factor[..., None] * samples).sum(axis=-2)
@@ -76,7 +78,7 @@ def relight(
         inner = ((common / total)[..., None] * roots).sum(axis=-2)
         out = total * inner * np.abs(inner)
     image: Array = np.where(met[..., None], out * np.asarray(light.intensity), 0.0)
-    return image, met
+    return image, np.broadcast_to(met, images.shape[1:3])
 
 
 def _outermost_facet(mesh: LightMesh, start: Array, ray: Array) -> tuple[NDArray[np.int_], Array, Array]:

@@ -25,9 +25,10 @@ def fill(values: ArrayLike, known: ArrayLike, mask: ArrayLike, *, window: int = 
     """Interpolate a map linearly where it is not known.
 
     A plane is fitted to the known values in a window about the pixel, nearer ones weighing more, and kept within the
-    range of those values. Where the window holds fewer than three known pixels it grows (5, 9, 17, 33, 65), and a grown
-    window must hold as many as its side is long, for the rim of a hole alone is noisy; beyond that the nearest known
-    pixel is copied.
+    range of those values. Where the window holds fewer than three known pixels it grows (5, 9, 17, 33, 65). The rim of
+    a large hole is where measuring just became possible, often at a fold, and its pixels are the worst: a grown window
+    must hold as many known pixels as its side is long, and leaves those at the rim out (unless there are hardly any
+    others). Beyond that the nearest of these is copied.
 
     Parameters
     ----------
@@ -53,13 +54,13 @@ def fill(values: ArrayLike, known: ArrayLike, mask: ArrayLike, *, window: int = 
         layers = np.ascontiguousarray(layers)
         found = np.zeros((len(wanted), layers.shape[2]), np.float32)
         done = np.zeros(len(wanted), bool)
-        given = (layers, source, wanted, window, max(window, LARGEST_WINDOW))
+        inner = ndimage.binary_erosion(source, np.ones((3, 3), bool))
+        inner = inner if 2 * np.count_nonzero(inner) >= np.count_nonzero(source) else source
+        given = (layers, source, inner, wanted, window, max(window, LARGEST_WINDOW))
         in_blocks(lambda start, stop: _interpolate(start, stop, *given, found, done), len(wanted), _BLOCK)
         if not done.all():
-            rest = tuple(wanted[~done].T)
-            row, column = ndimage.distance_transform_edt(~source, return_distances=False, return_indices=True)[
-                :, rest[0], rest[1]
-            ]
+            nearest = ndimage.distance_transform_edt(~inner, return_distances=False, return_indices=True)
+            row, column = nearest[:, wanted[~done, 0], wanted[~done, 1]]
             found[~done] = layers[row, column]
         layers[wanted[:, 0], wanted[:, 1]] = found
     return layers.reshape(array.shape)
@@ -71,6 +72,7 @@ def _interpolate(
     stop: int,
     layers: NDArray[np.float32],
     source: NDArray[np.bool_],
+    inner: NDArray[np.bool_],
     wanted: NDArray[np.int64],
     window: int,
     largest: int,
@@ -81,8 +83,9 @@ def _interpolate(
         row, column = wanted[w, 0], wanted[w, 1]
         side = window
         while side <= largest:
-            least = _PLANE if side == window else side
-            if _plane(layers, source, row, column, side // 2, least, found[w]):
+            first = side == window
+            known, least = (source, _PLANE) if first else (inner, side)
+            if _plane(layers, known, row, column, side // 2, least, found[w]):
                 done[w] = True
                 break
             side = 2 * side - 1

@@ -82,3 +82,12 @@ def test_nothing_known_gives_zeros_and_nan_is_not_known():
     assert (fill(values, np.ones((5, 5), bool), np.ones((5, 5), bool)) == 0).all()
     values[0, 0] = 2
     assert (fill(values, np.ones((5, 5), bool), np.ones((5, 5), bool)) == 2).all()
+
+
+def test_a_spoilt_rim_does_not_spread_into_a_large_hole():
+    known = np.ones((60, 60), bool)
+    known[:, 20:45] = False
+    values = np.ones((60, 60), np.float32)
+    values[:, [19, 45]] = 5
+    filled = fill(values, known, np.ones((60, 60), bool))
+    assert_allclose(filled[5:-5, 24:41], 1, rtol=1e-5)

@@ -8,11 +8,15 @@ compile.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 _BLOCKS_PER_CORE = 4
 """More blocks than cores, so that a core that finishes early finds more to do."""
+
+
+_thread = threading.local()
 
 
 def cores() -> int:
@@ -22,6 +26,8 @@ def cores() -> int:
 
 def in_blocks(work: Callable[[int, int], object], count: int, least: int = 1) -> None:
     """Call ``work(start, stop)`` for blocks that cover ``range(count)``, several at a time.
+
+    A call from within `work` is done by its own thread, for the cores are already busy.
 
     Parameters
     ----------
@@ -34,11 +40,15 @@ def in_blocks(work: Callable[[int, int], object], count: int, least: int = 1) ->
     """
     workers = cores()
     size = max(least, -(-count // (workers * _BLOCKS_PER_CORE)))
-    if workers == 1 or count <= size:
+    if workers == 1 or count <= size or getattr(_thread, "busy", False):
         if count:
             work(0, count)
         return
     starts = range(0, count, size)
-    with ThreadPoolExecutor(min(workers, len(starts))) as pool:
+    with ThreadPoolExecutor(min(workers, len(starts)), initializer=_mark_busy) as pool:
         for future in [pool.submit(work, start, min(start + size, count)) for start in starts]:
             future.result()
+
+
+def _mark_busy() -> None:
+    _thread.busy = True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -138,12 +139,19 @@ class ObjectGeometry:
 
     def lit(self, light: Light, part: NDArray[np.int64] | slice = slice(None)) -> NDArray[np.bool_]:
         """Object pixels (of `part`) that the light reaches: it is above the surface there and nothing is between."""
+        (lit,) = self.lit_by([light], part)
+        return np.asarray(lit)
+
+    def lit_by(self, lights: Sequence[Light], part: NDArray[np.int64] | slice = slice(None)) -> NDArray[np.bool_]:
+        """`lit` for several lights: (L, P)."""
         normals = self.normals[part]
         points = None if self.points is None else self.points[part]
-        lit = above_horizon(normals, points, light)
-        if self.occluder is not None and points is not None and lit.any():
-            lit[lit] = ~self.occluder.blocked(points[lit], normals[lit], light)
-        return lit
+        found = np.empty((len(lights), len(normals)), bool)
+        for light, lit in zip(lights, found, strict=True):
+            lit[:] = above_horizon(normals, points, light)
+            if self.occluder is not None and points is not None and lit.any():
+                lit[lit] = ~self.occluder.blocked(points[lit], normals[lit], light)
+        return found
 
     def scatter(self, values: NDArray[Any]) -> NDArray[np.float32]:
         """Lay values of the object's pixels, (P,) or (P, n), out as a map that is 0 elsewhere."""

@@ -13,11 +13,13 @@ from reconstruct.fitting.levels import read_levels
 from reconstruct.fitting.observations import Kind, Observations, observe
 from reconstruct.model import Progress
 from stage.errors import InputError
+from stage.threads import in_blocks
 
 OBSERVATION_BYTES = 1 << 26
 """Bound of the arrays handed out at once."""
 
 _BYTES_PER_OBSERVATION = 25
+_LEAST_TRACED = 4096  # pixels
 
 
 class Observer:
@@ -142,12 +144,17 @@ class Observer:
         return observed
 
     def _trace(self, pixels: NDArray[np.int64]) -> None:
-        """Find out which lights reach the given pixels, all pixels at once so that the rays keep all cores busy."""
+        """Find out which lights reach the given pixels: all lights for a block of them, then the next block."""
         new = pixels[~self._traced[pixels]]
         if not self.geometry.traces_shadows or not new.size:
             return
-        for k, light in enumerate(self._lights):
-            self._lit[new, k // 8] |= self.geometry.lit(light, new).astype(np.uint8) << np.uint8(7 - k % 8)
+
+        def work(start: int, stop: int) -> None:
+            block = new[start:stop]
+            self._lit[block] = np.packbits(self.geometry.lit_by(self._lights, block), axis=0).T
+
+        assert self.geometry.occluder is not None  # made before threads share it
+        in_blocks(work, len(new), _LEAST_TRACED)
         self._traced[new] = True
 
     def _shadows(self, chosen: NDArray[np.int64]) -> NDArray[np.bool_]:

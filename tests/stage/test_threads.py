@@ -35,3 +35,21 @@ def test_an_error_in_a_block_reaches_the_caller() -> None:
 
     with pytest.raises(ArithmeticError):
         in_blocks(work, 100)
+
+
+def test_work_within_a_block_stays_in_the_blocks_thread() -> None:
+    strangers: list[str] = []
+
+    def outer(_start: int, _stop: int) -> None:
+        mine = threading.current_thread().name
+
+        def inner(_first: int, _last: int) -> None:
+            if threading.current_thread().name != mine:
+                strangers.append(mine)
+
+        in_blocks(inner, 1000)
+
+    if cores() == 1:
+        pytest.skip("one core: there are no other threads")
+    in_blocks(outer, 1000)
+    assert strangers == []

@@ -18,7 +18,7 @@ SIDE = 512
 REPEATS = 25
 ELEVATIONS_RAD = np.radians([15, 30, 45, 60, 75])
 LIMIT_MS = 30.0
-"""What issue 2 asks of two cores."""
+"""Target on two cores."""
 
 
 def run() -> dict[str, Any]:

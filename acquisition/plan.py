@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, PositiveFloat, Val
 from acquisition.dataset import staged_file
 from stage.errors import InputError
 from stage.lights import Light, Triple
+from stage.validation import first_fault
 
 SCHEMA = "lightstage-plan/1"
 
@@ -143,7 +144,7 @@ class CapturePlan(PlanPart):
         try:
             return cls(candidates=planned, lights=tuple(int(i) for i in chosen), **rest)
         except ValidationError as error:
-            raise InputError(f"plan: {_fault(error)}") from None
+            raise InputError(f"plan: {first_fault(error)}") from None
 
     def with_exposure(self, exposure_s: float) -> CapturePlan:
         """The same plan with an exposure time where it names none."""
@@ -175,7 +176,7 @@ def plan_from_mapping(data: object, source: str) -> CapturePlan:
     try:
         return CapturePlan.model_validate_json(json.dumps(data))
     except ValidationError as error:
-        raise InputError(f"{source}: {_fault(error)}") from None
+        raise InputError(f"{source}: {first_fault(error)}") from None
 
 
 def read_plan(path: str | Path) -> CapturePlan:
@@ -195,24 +196,3 @@ def write_plan(plan: CapturePlan, path: str | Path) -> None:
     """Write ``plan.json``, wholly or not at all; raises `InputError` where the place cannot be written."""
     with staged_file(Path(path)) as temporary:
         temporary.write_text(json.dumps(plan.to_json(), indent=1) + "\n", encoding="utf-8")
-
-
-def _fault(error: ValidationError) -> str:
-    """Field and fault of the first problem."""
-    problem = error.errors(include_url=False)[0]
-    field = ""
-    for part in problem["loc"]:
-        field += f"[{part}]" if isinstance(part, int) else f".{part}" if field else str(part)
-    match problem["type"]:
-        case "extra_forbidden":
-            return f"{field}: unknown key"
-        case "missing":
-            return f"{field}: is required and missing"
-        case "finite_number":
-            return f"{field}: NaN and infinity are not allowed"
-        case "value_error":
-            return ": ".join(part for part in (field, str(problem["ctx"]["error"])) if part)
-        case _:
-            got = repr(problem["input"])
-            message = f"{problem['msg'][:1].lower()}{problem['msg'][1:]}"
-            return f"{field}: {message}, got {got if len(got) <= 60 else got[:57] + '...'}"

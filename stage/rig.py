@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, V
 from stage.camera import Camera
 from stage.errors import InputError
 from stage.lights import Light, Triple
+from stage.validation import first_fault, shortened
 
 SLACK_RAD = 1e-9
 """Rounding that must not turn a target at the very limit away."""
@@ -354,28 +355,10 @@ def rig_from_mapping(data: object, source: str) -> Rig:
         One sentence that names the file and the first field that is wrong.
     """
     if not isinstance(data, dict):
-        raise InputError(f"{source}: expected a mapping of rig fields, got {_short(data)}")
+        raise InputError(f"{source}: expected a mapping of rig fields, got {shortened(data)}")
     if "schema" not in data:
         raise InputError(f"{source}: schema: missing, expected 'lightstage-rig/1'")
     try:
         return Rig.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"{source}: {_first_problem(error)}") from None
-
-
-def _first_problem(error: ValidationError) -> str:
-    problem = error.errors(include_url=False)[0]
-    field = ".".join(str(part) for part in problem["loc"])
-    if problem["type"] == "extra_forbidden":
-        return f"{field}: unknown key"
-    if problem["type"] == "missing":
-        return f"{field}: missing"
-    if problem["type"] == "value_error":
-        message = str(problem["ctx"]["error"])
-        return message if message.startswith(f"{field}.") else f"{field}.{message}"
-    return f"{field}: {problem['msg'][0].lower()}{problem['msg'][1:]}, got {_short(problem['input'])}"
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+        raise InputError(f"{source}: {first_fault(error)}") from None

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError
 
 from stage.errors import InputError
+from stage.validation import first_fault
 
 MANIFEST = "dataset.json"
 SCHEMA = "lightstage-dataset/1"
@@ -92,7 +93,7 @@ def read_manifest(path: Path) -> Manifest:
     try:
         manifest = Manifest.model_validate_json(json.dumps(tree))
     except ValidationError as error:
-        raise InputError(f"{path}: {_sentence(error)}") from None
+        raise InputError(f"{path}: {first_fault(error)}") from None
     if (where := _not_finite(manifest.provenance, "provenance")) is not None:
         raise InputError(f"{path}: {where}: NaN and infinity are not allowed")
     return manifest
@@ -104,31 +105,6 @@ def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         names = [key for key, _ in pairs]
         raise ValueError(f"the key {next(key for key in names if names.count(key) > 1)!r} is given twice")
     return out
-
-
-def _sentence(error: ValidationError) -> str:
-    """Field and fault of the first error, and how many more there are."""
-    errors = error.errors(include_url=False)
-    first = errors[0]
-    field = ""
-    for part in first["loc"]:
-        field += f"[{part}]" if isinstance(part, int) else f".{part}" if field else part
-    match first["type"]:
-        case "extra_forbidden":
-            fault = "unknown key"
-        case "missing":
-            fault = "is required and missing"
-        case "finite_number":
-            fault = "NaN and infinity are not allowed"
-        case _:
-            fault = f"{first['msg'][:1].lower()}{first['msg'][1:]}, got {_short(first['input'])}"
-    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-    return f"{field}: {fault}{more}"
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _not_finite(value: Any, where: str) -> str | None:

@@ -116,7 +116,7 @@ class _Spool:
             self._file.close()
 
     def append(self, samples: Stored) -> None:
-        folder = _spool_folder()
+        folder = spool_folder()
         try:
             if self._file is None:
                 self._file = tempfile.TemporaryFile(prefix="lightstage-", dir=folder)  # noqa: SIM115 - see __exit__
@@ -134,7 +134,7 @@ class _Spool:
         return np.frombuffer(data, dtype).reshape(-1, *shape)
 
 
-def _spool_folder() -> str:
+def spool_folder() -> str:
     """TMPDIR where it is set; else /var/tmp, which unlike /tmp is on a disk on every common system."""
     large = "/var/tmp"
     if "TMPDIR" not in os.environ and Path(large).is_dir() and os.access(large, os.W_OK | os.X_OK):

@@ -6,12 +6,12 @@ import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.dataset import IlluminationDataset
+from acquisition.dataset.tiles import spool_folder
 from reconstruct.model import Progress
 from stage.errors import InputError
 
@@ -97,7 +97,7 @@ def _room(shape: tuple[int, int, int, int]) -> Singles:
     size = 4 * int(np.prod(shape, dtype=np.int64))
     if size <= IN_MEMORY_BYTES:
         return np.empty(shape, np.float32)
-    folder = _large_folder()
+    folder = spool_folder()
     try:
         with tempfile.TemporaryFile(prefix="lightstage-", dir=folder) as file:
             # A sparse file on a full disk would end the process on the first write to its map.
@@ -105,11 +105,3 @@ def _room(shape: tuple[int, int, int, int]) -> Singles:
             return np.memmap(file, np.float32, "r+", shape=shape)
     except OSError as error:
         raise InputError(f"{folder}: TMPDIR: no room for {size >> 20} MiB of photographs ({error.strerror})") from None
-
-
-def _large_folder() -> str:
-    """TMPDIR where it is set; else /var/tmp, which unlike /tmp is on a disk on every common system."""
-    large = "/var/tmp"
-    if "TMPDIR" not in os.environ and Path(large).is_dir() and os.access(large, os.W_OK | os.X_OK):
-        return large
-    return tempfile.gettempdir()

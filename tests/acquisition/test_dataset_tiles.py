@@ -104,7 +104,7 @@ def test_leaving_early_closes_the_spool(
 
 
 def test_a_spool_that_cannot_be_written_is_named(mixed: IlluminationDataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tiles_module, "_spool_folder", lambda: "/nowhere")
+    monkeypatch.setattr(tiles_module, "spool_folder", lambda: "/nowhere")
     with pytest.raises(InputError, match="/nowhere: TMPDIR: pictures cannot be spooled there"):
         list(mixed.tiles(range(4), max_bytes=1))
     assert len(list(mixed.tiles(range(4)))) == 1  # a set that fits needs no spool

@@ -248,7 +248,8 @@ class IlluminationDataset:
         try:
             return read_header(path)
         except PictureError as error:
-            raise InputError(f"{self.source}: {field}: {path.name!r} {error}") from None
+            name = path.relative_to(self.folder) if path.is_relative_to(self.folder) else path
+            raise InputError(f"{self.source}: {field}: {str(name)!r} {error}") from None
 
     def _check_frame(self, i: int) -> None:
         frame, field = self.frames[i], f"{self.source}: frames[{i}]"

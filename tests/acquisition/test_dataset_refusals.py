@@ -70,7 +70,7 @@ def at(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         ("frames[1].saturation", NAN, "NaN and infinity"),
         ("frames[1].transfer", "rec709", "'gamma:G'"),
         ("frames[1].transfer", "srgb", "is for integer pictures"),
-        ("frames[1].image", "images/9999.exr", "'9999.exr' does not exist"),
+        ("frames[1].image", "images/9999.exr", "'images/9999.exr' does not exist"),
         ("frames[1].image", "images", "is a folder"),
         ("frames[1].image", "", "at least 1"),
         ("frames[1].image", "../plate2/0000.exr", "leaves the dataset's folder"),

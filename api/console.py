@@ -19,8 +19,12 @@ Progress = Callable[[float], None]
 
 BAD_INPUT, FAILED, INTERRUPTED = 2, 1, 130
 DEBUG = "LIGHTSTAGE_DEBUG"
+QUIET_START_S = 30.0
+"""Where stderr is no terminal, a step says nothing for so long: one that refuses its input says so alone, even where
+kernels are compiled first."""
+
 QUIET_SPELL_S = 5.0
-"""Where stderr is no terminal, a line of progress at most this often."""
+"""Time between two lines on progress after that."""
 
 
 class OneSentence(TyperGroup):
@@ -122,7 +126,7 @@ def write_facts(facts: dict[str, Any]) -> None:
 def progress(label: str) -> Iterator[Progress]:
     """Show how far a step is: a bar that vanishes on a terminal, else a line now and then and one at the end.
 
-    A step that fails early prints nothing, so that its error stays alone on stderr.
+    A step that fails early prints no line, so that its error stays alone on stderr.
     """
     if not sys.stderr.isatty():
         yield from _lines(label)
@@ -144,7 +148,8 @@ def progress(label: str) -> Iterator[Progress]:
 
 
 def _lines(label: str) -> Iterator[Progress]:
-    begin = last = time.monotonic()
+    begin = time.monotonic()
+    last = begin + QUIET_START_S - QUIET_SPELL_S
 
     def show(share: float) -> None:
         nonlocal last

@@ -116,10 +116,18 @@ def write_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
 
 
 def write_facts(facts: dict[str, Any]) -> None:
-    """Print labelled values for people to stdout, one a line."""
+    """Print labelled values for people to stdout, one a line; parts of a value stand indented below its label."""
     width = max((len(label) for label in facts), default=0)
     for label, value in facts.items():
-        print(f"{label:<{width}}  {value}")
+        if isinstance(value, dict):
+            print(label)
+            write_facts({f"  {name}": figure for name, figure in value.items()})
+        elif isinstance(value, list) and value and all(isinstance(item, str) and " " in item for item in value):
+            print(label, *(f"  {sentence}" for sentence in value), sep="\n")
+        elif isinstance(value, float):
+            print(f"{label:<{width}}  {value:.6g}")
+        else:
+            print(f"{label:<{width}}  {value}")
 
 
 @contextmanager

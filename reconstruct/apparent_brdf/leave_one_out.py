@@ -1,4 +1,4 @@
-"""Each light predicted from the others: which mean serves a set better, and how far interpolation can be trusted."""
+"""Each light predicted from the others: which interpolant serves a set best, and how far it can be trusted."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruct.apparent_brdf.interpolation import (
-    MEANS,
     Interpolant,
     Lookup,
-    Mean,
     Receiver,
     blend,
     look_up,
@@ -33,6 +31,13 @@ MOST_FACETS = 20_000
 
 FEWEST_TRIALS = 12
 
+CLEARLY_BETTER = 0.5
+"""Error, as a share of that of the first candidate's weighting, below which another weighting is taken.
+
+The facets about a light that was left out are about twice as wide, and their chords four times as deep, as those of the
+whole set, so the trials overstate how much a weighting matters.
+"""
+
 
 @dataclass(frozen=True)
 class Assessment:
@@ -40,8 +45,6 @@ class Assessment:
 
     Attributes
     ----------
-    mean : {"linear", "square-root"}
-        The one of smaller error; ``linear`` where nothing could be tested.
     error : float or None
         Root mean square error over the trials within the sampled region, on the scale of `assess`; None without any.
     relative_error : float or None
@@ -54,7 +57,6 @@ class Assessment:
         Lights left out and predicted.
     """
 
-    mean: Mean
     error: float | None
     relative_error: float | None
     spread_ratio: float
@@ -74,9 +76,9 @@ def assess(
     mesh: LightMesh,
     lights: Sequence[Light],
     scale: Scale,
-    interpolant: Interpolant,
+    candidates: Sequence[Interpolant],
     progress: Progress = no_progress,
-) -> Assessment:
+) -> tuple[Interpolant, Assessment]:
     """Leave lights out one by one and compare what the others say with what was photographed.
 
     With one light fewer the facets about it are larger than those of the whole set, so the error found is an upper
@@ -92,12 +94,20 @@ def assess(
         Of all lights.
     lights : sequence of Light
     scale : callable
-        Scale on which the two means compete.
-    interpolant : Interpolant
-        Its mean is not used.
+        Scale on which the candidates compete.
+    candidates : sequence of Interpolant
+        At least one; the first one's weighting is preferred, see `CLEARLY_BETTER`.
+
+    Returns
+    -------
+    Interpolant
+        The candidate of least error within the sampled region, of the preferred weighting unless another is clearly
+        better; the first where nothing could be tested.
+    Assessment
+        Of that candidate.
     """
-    inside = {mean: _Sums() for mean in MEANS}
-    beyond = {mean: _Sums() for mean in MEANS}
+    inside = {how: _Sums() for how in candidates}
+    beyond = {how: _Sums() for how in candidates}
     carrying = np.unique(mesh.facets)
     trials = 0
     tried = _trials(carrying, len(mesh.facets))
@@ -112,21 +122,28 @@ def assess(
         intensity = lights[left_out].intensity
         with one_thread():
             receiver = Receiver.create(rest, everywhere, points)
-            found = look_up(receiver, lights[left_out], interpolant)
-            images = {mean: blend(samples, receiver, found, intensity, mean) for mean in MEANS}
-        off_rim = np.broadcast_to(found.beyond_rad > 0, everywhere.shape)
+            looked_up = {how: look_up(receiver, lights[left_out], how) for how in candidates}
+            images = {how: blend(samples, receiver, looked_up[how], intensity, how.mean) for how in candidates}
         truth = samples[left_out] * np.asarray(intensity, np.float32)
-        for mean, image in images.items():
+        for how, image in images.items():
+            found = looked_up[how]
+            off_rim = np.broadcast_to(found.beyond_rad > 0, everywhere.shape)
             apart = spread(samples, receiver, found, intensity, image) * growth(rest, found)[..., None]
             judged = scale(int(left_out), image) - scale(int(left_out), truth)
-            inside[mean].add(~off_rim, judged, image - truth, apart, truth)
-            beyond[mean].add(off_rim, judged, image - truth, apart, truth)
+            inside[how].add(~off_rim, judged, image - truth, apart, truth)
+            beyond[how].add(off_rim, judged, image - truth, apart, truth)
         progress((number + 1) / len(tried))
-    best = min(MEANS, key=lambda mean: inside[mean].judged)
+
+    def rank(how: Interpolant) -> tuple[float, float]:
+        return inside[how].judged, inside[how].error  # the scale may clip what tells them apart
+
+    best = min(candidates, key=rank)
+    preferred = min((how for how in candidates if how.weighting == candidates[0].weighting), key=rank)
+    if inside[best].judged > CLEARLY_BETTER**2 * inside[preferred].judged:
+        best = preferred
     chosen, edge = inside[best], beyond[best]
     ratio = chosen.ratio
-    return Assessment(
-        mean=best,
+    return best, Assessment(
         error=float(np.sqrt(chosen.judged / chosen.count)) if chosen.count else None,
         relative_error=float(np.sqrt(chosen.error / chosen.signal)) if chosen.signal > 0 else None,
         spread_ratio=1.0 if ratio is None else ratio,

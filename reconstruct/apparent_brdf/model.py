@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from acquisition.dataset import IlluminationDataset
 from reconstruct.apparent_brdf import archive
 from reconstruct.apparent_brdf.interpolation import (
+    MEANS,
     Beyond,
     Interpolant,
     Mean,
@@ -31,6 +33,9 @@ from stage.lights import Light, light_vectors
 
 UNRELIABLE = 0.25
 """Leave-one-out error, as a share of the signal, above which the result says that the lights are too sparse."""
+
+COMPETING: tuple[Weighting, ...] = ("cosine-exact", "distance-normalised")
+"""Weightings that are exact for a Lambertian point, and for one that answers alike in all directions."""
 
 _READING_SHARE = 0.7
 """Share of a fit's time that reading the photographs takes; the rest is leaving lights out."""
@@ -98,11 +103,11 @@ class ApparentBrdf(Model):
         frames: Sequence[int],
         progress: Progress = no_progress,
         *,
-        weighting: Weighting = "cosine-exact",
+        weighting: Weighting | None = None,
         mean: Mean | None = None,
         beyond: Beyond = "rim",
     ) -> Self:
-        """Collect the photographs, triangulate their lights and find which mean predicts left-out lights better.
+        """Collect the photographs, triangulate their lights and find which interpolant predicts left-out lights best.
 
         Parameters
         ----------
@@ -110,11 +115,9 @@ class ApparentBrdf(Model):
             May be larger than memory: it is read in tiles into a temporary file.
         frames : sequence of int
         progress : callable
-        weighting, beyond
-            See `Interpolant`.
-        mean : {"linear", "square-root"}, optional
-            Left out: the better of the two on lights left out one by one. ``weighting="paper", mean="linear"`` is the
-            published method.
+        weighting, mean, beyond
+            See `Interpolant`; ``weighting="paper", mean="linear"`` is the published method. Where weighting or mean is
+            left out, lights left out one by one decide (`leave_one_out.assess`); ``paper`` does not compete.
 
         Raises
         ------
@@ -138,7 +141,12 @@ class ApparentBrdf(Model):
             raise InputError(f"{where}: geometry.mask: the object has no pixels")
         centre = np.zeros(3) if points is None else points[seen].mean(axis=0)
         try:
-            interpolant = Interpolant(weighting, mean or "linear", beyond)
+            candidates = [
+                Interpolant(how, kind, beyond)
+                for how, kind in product(
+                    COMPETING if weighting is None else [weighting], MEANS if mean is None else [mean]
+                )
+            ]
             mesh = triangulate(light_vectors(lights), distant=lights[0].is_distant, centre=centre)
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
@@ -153,16 +161,15 @@ class ApparentBrdf(Model):
             share: Singles = np.clip(linear / np.float32(white), 0, 1)
             return dataset.encode(frames[k], linear) if dataset.is_eight_bit else share
 
-        assessment = assess(
+        interpolant, assessment = assess(
             samples,
             None if points is None else points[rows, columns],
             mesh,
             lights,
             judged,
-            interpolant,
+            candidates,
             lambda share: progress(_READING_SHARE + (1 - _READING_SHARE) * share),
         )
-        interpolant = Interpolant(weighting, mean or assessment.mean, beyond)
         return cls(lights, tuple(frames), images, receiver, interpolant, assessment, counts)
 
     def render(self, light: Light) -> Rendering:
@@ -262,6 +269,7 @@ class ApparentBrdf(Model):
             "saturated_samples_kept": float(self.counts.saturated),
             "dark_samples_kept": float(self.counts.dark),
             "mean_is_square_root": float(self.interpolant.mean == "square-root"),
+            "weighting_is_cosine_exact": float(self.interpolant.weighting == "cosine-exact"),
             "lights_left_out_in_turn": float(one_out.trials),
         }
         if one_out.error is not None:

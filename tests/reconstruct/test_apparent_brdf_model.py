@@ -65,11 +65,31 @@ def test_leaving_lights_out_prefers_the_plain_mean_for_a_matte_ball_and_roots_fo
     matte: ApparentBrdf, tmp_path: Path
 ) -> None:
     assert matte.interpolant.mean == "linear"
+    assert matte.interpolant.weighting == "cosine-exact"
     sharp = Ball(gloss=2.0, shininess=200).dataset(tmp_path / "sharp", near(DOME))
     model = ApparentBrdf.fit(sharp, range(len(sharp)))
     assert model.interpolant.mean == "square-root"
     assert model.statistics()["mean_is_square_root"] == 1
     assert ApparentBrdf.fit(sharp, range(len(sharp)), mean="linear").interpolant.mean == "linear"
+
+
+@pytest.mark.parametrize("lights", [far(DOME), near(DOME)])
+def test_what_answers_alike_in_all_directions_stays_so(lights: list[Light], tmp_path: Path) -> None:
+    """No cosine in the data, so the weighting that is exact for a cosine has to give way (K10)."""
+    distant = lights[0].is_distant
+    middle = np.zeros((*BALL.mask.shape, 3)) if distant else BALL.points
+    frames = []
+    for light in lights:
+        _, attenuation = light.incident(middle)
+        value = np.where(BALL.mask, 0.25 * attenuation, 0)
+        frames.append((light, np.repeat(value[..., None], 3, axis=-1).astype(np.float32)))
+    camera, depth = (None, None) if distant else (BALL.camera, BALL.depth)
+    dataset = write_dataset(tmp_path / "glow", name="glow", frames=frames, camera=camera, depth=depth, mask=BALL.mask)
+    model = ApparentBrdf.fit(dataset, range(len(dataset)))
+    assert model.interpolant.weighting == "distance-normalised"
+    wanted = Light(direction=(0.3, 0.2, 0.6)) if distant else Light(position=(0.3, 0.2, 0.6))
+    expected = np.where(BALL.mask, 0.25 * wanted.incident(middle)[1], 0)
+    assert_allclose(model.render(wanted).image[..., 0], expected, rtol=1e-5)
 
 
 def test_uncertainty_is_the_size_of_the_error(glossy: ApparentBrdf) -> None:

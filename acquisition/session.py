@@ -23,6 +23,7 @@ from acquisition.record import CaptureRecord, TakenShot, open_record
 from stage.clock import Clock, SystemClock
 from stage.devices import AxisGroup, CapturedFrame, FrameCamera, Lamp, make_all_safe
 from stage.errors import DeviceError, InputError
+from stage.interruption import interrupted
 from stage.rig import Rig
 
 ATTEMPTS = 3
@@ -136,11 +137,14 @@ class Session:
         try:
             self._record.begin()
             self.outcome = self._take_missing()
-        except Exception as error:
-            self.outcome, self.reason, trouble = Outcome.FAILED, str(error), error
-            raise
-        except BaseException as error:  # Ctrl-C or a signal
-            self.outcome, self.reason, trouble = Outcome.ABORTED, type(error).__name__, error
+        except BaseException as error:
+            trouble = error
+            if interrupted(error):
+                self.outcome, self.reason = Outcome.ABORTED, KeyboardInterrupt.__name__
+            elif isinstance(error, Exception):
+                self.outcome, self.reason = Outcome.FAILED, str(error)
+            else:  # a signal
+                self.outcome, self.reason = Outcome.ABORTED, type(error).__name__
             raise
         finally:
             unsafe = self._make_safe()

@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 from typer.exceptions import Abort, TyperException
 
 from stage.errors import DeviceError, InputError
+from stage.interruption import interrupted
 
 Progress = Callable[[float], None]
 
@@ -45,7 +46,9 @@ def exit_code(run: Callable[[], object]) -> int:
     except Exception as error:
         if debugging():
             raise
-        return _told(error)
+        if not interrupted(error):
+            return _told(error)
+        returned = INTERRUPTED
     if returned == INTERRUPTED:
         _say("interrupted")
     return returned if isinstance(returned, int) else 0

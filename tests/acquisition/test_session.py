@@ -123,6 +123,18 @@ def test_killed_at_any_shot_and_resumed_is_the_same(
     assert contents(out) == whole
 
 
+def test_ctrl_c_inside_a_compiled_kernel_aborts(tmp_path: Path) -> None:
+    stage, out = FakeStage(), tmp_path / "out"
+    inside = SystemError("kernel returned a result with an exception set")
+    inside.__cause__ = KeyboardInterrupt()
+    stage.camera.before = fail([2], inside)
+    with pytest.raises(SystemError):
+        run(stage, out)
+    assert stage.is_safe()
+    assert end_of(out)["outcome"] == "aborted"
+    assert end_of(out)["reason"] == "KeyboardInterrupt"
+
+
 @pytest.mark.parametrize("step", ["write_frame", "add"])
 @pytest.mark.parametrize("late", [False, True])
 def test_killed_between_any_two_steps_of_writing(

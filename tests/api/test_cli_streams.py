@@ -66,6 +66,16 @@ def test_every_failure_has_its_code_and_one_sentence(capsys, monkeypatch, raised
     assert capsys.readouterr() == ("", says)
 
 
+def test_ctrl_c_inside_a_compiled_kernel_is_an_interruption(capsys, monkeypatch):
+    monkeypatch.delenv("LIGHTSTAGE_DEBUG", raising=False)
+
+    def fail():
+        raise SystemError("kernel returned a result with an exception set") from KeyboardInterrupt()
+
+    assert console.exit_code(fail) == 130
+    assert capsys.readouterr() == ("", "lightstage: interrupted\n")
+
+
 def test_debugging_lets_the_failure_through(monkeypatch):
     monkeypatch.setenv("LIGHTSTAGE_DEBUG", "1")
 

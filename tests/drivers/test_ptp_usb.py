@@ -176,7 +176,7 @@ def test_a_session_that_somebody_left_open_is_taken_over(bench: Bench) -> None:
     bench.usb.unplug(bench.camera_plug)
     bench.usb.plug_in(StillImageFunction(bench.camera, knows_reset=False))
     with bench.photographer() as camera:
-        camera.capture(0.02)
+        assert camera.capture(0.02).data
 
 
 def test_which_of_two_cameras(bench: Bench) -> None:

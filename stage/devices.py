@@ -49,39 +49,41 @@ class Device(Protocol):
     ) -> None: ...
 
 
-@runtime_checkable
-class Axis(Device, Protocol):
-    """One joint."""
+@dataclass(frozen=True)
+class Arrival:
+    """The end of a move.
 
-    @property
-    def limits_rad(self) -> tuple[float, float]:
-        """Least and greatest angle it may be sent to."""
-        ...
+    Attributes
+    ----------
+    positions : tuple of float
+        Where the joints stand, as measured, radians or metres.
+    move_s, settle_s : float
+        Seconds until they had arrived, and of rest after that.
+    """
 
-    def position_rad(self) -> float:
-        """Where it is now, as measured."""
-        ...
-
-    def move_to(self, target_rad: float) -> float:
-        """Move, return the measured angle once settled; raise `DeviceError` on limit, stall or timeout."""
-        ...
+    positions: tuple[float, ...]
+    move_s: float = 0.0
+    settle_s: float = 0.0
 
 
 @runtime_checkable
 class AxisGroup(Device, Protocol):
-    """Joints that start together, so that a move takes as long as the slowest joint and no longer."""
+    """Joints that start together, so that a move takes as long as the slowest joint and no longer.
+
+    A joint's value is in radians where it turns and in metres where it slides. A single axis is a group of one.
+    """
 
     @property
-    def limits_rad(self) -> tuple[tuple[float, float], ...]:
-        """Least and greatest angle per joint."""
+    def limits(self) -> tuple[tuple[float, float], ...]:
+        """Least and greatest value per joint."""
         ...
 
-    def positions_rad(self) -> tuple[float, ...]:
+    def positions(self) -> tuple[float, ...]:
         """Where the joints are now, as measured."""
         ...
 
-    def move_to(self, targets_rad: Sequence[float]) -> tuple[float, ...]:
-        """Start all joints, wait for all, return their measured angles; raise `DeviceError` on limit, stall or timeout.
+    def move_to(self, targets: Sequence[float]) -> Arrival:
+        """Start all joints, wait until all have settled; raise `DeviceError` on limit, stall or timeout.
 
         Every target is checked before any joint moves.
         """
@@ -127,6 +129,8 @@ class CapturedFrame:
         Exposure time that the camera was set to, seconds.
     started_s : float
         When the exposure was asked for, on the clock of the camera's driver.
+    expose_s, download_s : float
+        Seconds until the camera announced the file (exposure and read-out), and until it was here.
     metadata : mapping of str to str
         Whatever else the device tells (maker, model, serial number, capture date).
     """
@@ -135,12 +139,18 @@ class CapturedFrame:
     name: str
     exposure_s: float
     started_s: float
+    expose_s: float = 0.0
+    download_s: float = 0.0
     metadata: Mapping[str, str] = field(default_factory=dict)
 
 
 @runtime_checkable
 class FrameCamera(Device, Protocol):
     """A still camera."""
+
+    def require_exposure(self, exposure_s: float) -> None:
+        """Raise `InputError`, naming the nearest, where the camera does not offer an exposure time."""
+        ...
 
     def capture(self, exposure_s: float) -> CapturedFrame:
         """Expose once and return the file; raises `InputError` for an exposure that the camera does not offer."""

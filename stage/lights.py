@@ -75,8 +75,9 @@ class Light:
             raise InputError("light.position: a near light needs a depth map to light the object; none is there")
         offset = np.asarray(self.position) - np.asarray(points, dtype=float)
         r2 = np.einsum("...i,...i->...", offset, offset)
-        safe = np.where(r2 > 0, r2, 1.0)
-        return offset / np.sqrt(safe)[..., None], np.where(r2 > 0, 1.0 / safe, 0.0)
+        apart = r2 > np.finfo(float).tiny  # below, its reciprocal is no number any more
+        safe = np.where(apart, r2, 1.0)
+        return offset / np.sqrt(safe)[..., None], np.where(apart, 1.0 / safe, 0.0)
 
     def to_json(self) -> dict[str, list[float]]:
         """Return the light as the dataset format writes it."""

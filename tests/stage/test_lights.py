@@ -30,9 +30,10 @@ def test_direction_and_attenuation_lead_back_to_the_light(
     assert_allclose(np.add(point, to_light / np.sqrt(attenuation)), position, atol=1e-7)
 
 
-def test_a_point_at_the_light_receives_nothing() -> None:
-    to_light, attenuation = Light(position=(1, 2, 3)).incident([1, 2, 3])
-    assert_allclose(to_light, 0)
+@pytest.mark.parametrize("distance", [0.0, 1e-160])
+def test_a_point_at_the_light_receives_nothing(distance: float) -> None:
+    to_light, attenuation = Light(position=(distance, 0, 0)).incident([0, 0, 0])
+    assert_allclose(to_light, 0, atol=1e-100)
     assert attenuation == 0
 
 

@@ -1,4 +1,4 @@
-"""An Enttec DMX USB Pro seen from its serial port: widget messages in, replies out, levels handed to the world.
+"""An Enttec DMX USB Pro seen from its serial port: widget messages in, replies out, levels onto a DMX line.
 
 References
 ----------
@@ -7,21 +7,16 @@ Enttec, "DMX USB Pro Widget API Specification 1.44".
 
 from __future__ import annotations
 
-from typing import Protocol
+from functools import partial
 
-from simulators.faults import WireFaults
+from simulators.dmx_line import Clock, DmxLine, OnLoss, World
+from simulators.faults import FaultBoard, WireFault, WireFaults
 
 START, END = 0x7E, 0xE7
 GET_PARAMETERS, SET_PARAMETERS, SEND_DMX, GET_SERIAL = 3, 4, 6, 10
 LONGEST = 600
 
-
-class World(Protocol):
-    """What the widget needs of the world that its lamp lights."""
-
-    def set_channels(self, levels: bytes) -> None:
-        """Take over the DMX levels, channel 1 first."""
-        ...
+__all__ = ["DmxWidget", "World", "message"]
 
 
 def message(label: int, data: bytes) -> bytes:
@@ -30,22 +25,54 @@ def message(label: int, data: bytes) -> bytes:
 
 
 class DmxWidget:
-    """The interface and the lamp behind it; feed it what the host sends, in pieces of any size."""
+    """The interface and the line behind it; feed it what the host sends, in pieces of any size.
 
-    def __init__(self, world: World, *, serial_number: int = 2170001) -> None:
+    Parameters
+    ----------
+    world : World
+        What the fixtures on the line light.
+    clock : Clock
+        Its time.
+    serial_number : int
+        As printed on the case.
+    on_loss : str
+        What the fixtures do when nothing comes any more.
+
+    Attributes
+    ----------
+    board : FaultBoard
+        Offers ``silent``, ``garbled``, ``truncated`` and ``noise``, which strike replies, ``brown-out``, and the
+        faults of the line.
+    """
+
+    def __init__(self, world: World, clock: Clock, *, serial_number: int = 2170001, on_loss: OnLoss = "black") -> None:
+        self.line = DmxLine(world, clock, on_loss=on_loss)
         self.faults = WireFaults()
-        self._world = world
+        self.board = FaultBoard()
+        for fault in WireFault:
+            self.board.offer("silent" if fault is WireFault.SILENCE else fault.name.lower(), partial(self._arm, fault))
+        self.board.offer("brown-out", self.lose_power)
+        self.line.offer_faults(self.board)
         self._serial = bytes.fromhex(f"{serial_number:08d}")[::-1]  # BCD, least significant digits first
         self._break_time, self._mark_time, self._rate = 9, 1, 40
         self._pending = b""
+
+    def lose_power(self) -> None:
+        """Restart: nothing goes out until levels are sent again. The parameters are kept, as the manual says."""
+        self._pending = b""
+        self.line.fall_silent()
 
     def feed(self, data: bytes) -> bytes:
         """Bytes from the host; returns what the widget answers."""
         self._pending += data
         answers = b""
         while (whole := self._take()) is not None:
+            self.board.message()
             answers += self._answer(*whole)
         return answers
+
+    def _arm(self, fault: WireFault, times: int = 1, after: int = 0) -> None:
+        self.faults.arm(fault, times=times, after=after)
 
     def _take(self) -> tuple[int, bytes] | None:
         while True:
@@ -73,5 +100,5 @@ class DmxWidget:
         if label == SET_PARAMETERS and len(data) >= 5:
             self._break_time, self._mark_time, self._rate = data[2:5]
         if label == SEND_DMX and 25 <= len(data) <= 513 and data[0] == 0:
-            self._world.set_channels(data[1:])
+            self.line.carry(data[1:])
         return b""  # the firmware ignores what it does not know

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import inspect
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
+
+from stage.errors import InputError
 
 
 class WireFault(Enum):
@@ -13,6 +19,18 @@ class WireFault(Enum):
     GARBLED = "one bit of its last byte flipped"
     TRUNCATED = "its second half never sent"
     NOISE = "preceded by bytes that mean nothing"
+
+    def spoil(self, reply: bytes) -> bytes:
+        """The reply as it reaches the wire."""
+        match self:
+            case WireFault.SILENCE:
+                return b""
+            case WireFault.GARBLED:
+                return reply[:-1] + bytes([reply[-1] ^ 0x01])
+            case WireFault.TRUNCATED:
+                return reply[: len(reply) // 2]
+            case WireFault.NOISE:
+                return NOISE_BYTES + reply
 
 
 NOISE_BYTES = bytes.fromhex("00 FF FF 7E 13 FD")
@@ -53,12 +71,77 @@ class WireFaults:
         armed.times -= 1
         if not armed.times:
             self._armed.pop(0)
-        match armed.fault:
-            case WireFault.SILENCE:
-                return b""
-            case WireFault.GARBLED:
-                return reply[:-1] + bytes([reply[-1] ^ 0x01])
-            case WireFault.TRUNCATED:
-                return reply[: len(reply) // 2]
-            case WireFault.NOISE:
-                return NOISE_BYTES + reply
+        return armed.fault.spoil(reply)
+
+
+@dataclass(order=True)
+class _Planned:
+    at_message: int
+    name: str = field(compare=False)
+    options: dict[str, Any] = field(compare=False)
+
+
+class FaultBoard:
+    """The faults of one simulated device, by name: each strikes when it is told to, or at its n-th message.
+
+    A simulator offers its faults when it is made, and calls `message` for each whole message that it receives, before
+    it answers. Safe to use from several threads.
+    """
+
+    def __init__(self) -> None:
+        self.messages = 0
+        self._faults: dict[str, Callable[..., None]] = {}
+        self._accepts: dict[str, Callable[..., None]] = {}
+        self._planned: list[_Planned] = []
+        self._lock = threading.Lock()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What can go wrong with the device."""
+        return tuple(sorted(self._faults))
+
+    def offer(self, name: str, act: Callable[..., None], accept: Callable[..., None] | None = None) -> None:
+        """Make a fault known; the parameters of `act` are its options.
+
+        `accept`, where there is one, is called with the options when the fault is planned, and raises `InputError` for
+        values that the fault cannot strike with.
+        """
+        self._faults[name] = act
+        if accept is not None:
+            self._accepts[name] = accept
+
+    def offer_all_of(self, other: FaultBoard) -> None:
+        """Make the faults of another board known here, as those of the port that a device hangs on."""
+        self._faults |= other._faults
+        self._accepts |= other._accepts
+
+    def check(self, name: str, **options: Any) -> None:
+        """Raise `InputError` where there is no such fault, or it has no such options."""
+        if name not in self._faults:
+            raise InputError(f"fault: expected one of {', '.join(self.names)}, got {name!r}")
+        try:
+            inspect.signature(self._faults[name]).bind(**options)
+        except TypeError as error:
+            raise InputError(f"options: the fault {name!r} does not take them ({error}), got {options}") from None
+        if name in self._accepts:
+            self._accepts[name](**options)
+
+    def strike(self, name: str, **options: Any) -> None:
+        """Let a fault happen now; raises `InputError` as `check` does."""
+        self.check(name, **options)
+        self._faults[name](**options)
+
+    def strike_at(self, message: int, name: str, **options: Any) -> None:
+        """Let a fault happen when the n-th message since the device was switched on arrives, counted from 1."""
+        self.check(name, **options)
+        with self._lock:
+            self._planned.append(_Planned(message, name, options))
+
+    def message(self) -> None:
+        """Count a message, and strike what is due."""
+        with self._lock:
+            self.messages += 1
+            due = sorted(one for one in self._planned if one.at_message <= self.messages)
+            self._planned = [one for one in self._planned if one.at_message > self.messages]
+        for one in due:
+            self._faults[one.name](**one.options)

@@ -1,6 +1,6 @@
 """A still camera that speaks PTP: operations in, responses, files and events out; its pictures are the world's.
 
-Transport-free: `StillImageFunction` in `simulators.usb_camera` puts it on USB.
+Transport-free: `simulators.usb_camera` puts it on USB, `simulators.ptp_ip` on a network.
 
 References
 ----------
@@ -9,10 +9,13 @@ ISO 15740:2013, operations, responses, events and datasets.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Protocol
+
+from simulators.faults import FaultBoard
 
 OK, NO_SESSION, NOT_SUPPORTED, BAD_HANDLE = 0x2001, 0x2003, 0x2005, 0x2009
 BAD_PROPERTY, STORE_FULL, BUSY, BAD_VALUE, ALREADY_OPEN = 0x200A, 0x200C, 0x2019, 0x201C, 0x201E
@@ -29,6 +32,8 @@ EXPOSURE_TICKS = (
 )
 """1/10000 s to 30 s in about thirds of a stop, as cameras round them."""
 SENSITIVITIES = (100, 200, 400, 800, 1600)
+SLOW_S = 6.0
+"""A RAW file of 50 MB takes 4 to 7 s over USB."""
 
 
 class World(Protocol):
@@ -43,48 +48,62 @@ class World(Protocol):
         ...
 
 
-@dataclass
 class CameraFaults:
-    """What goes wrong with the camera; each count is how many more times.
+    """What goes wrong with the camera: how many more times, by the name it has on the camera's board."""
 
-    Attributes
-    ----------
-    lost_events : int
-        Captures whose new file is not announced.
-    lost_pictures : int
-        Captures that are accepted and come to nothing.
-    torn_downloads : int
-        Downloads of which half never arrives.
-    busy : int
-        Captures that are put off with 'device busy'.
-    silent : int
-        Operations that are not answered at all.
-    full : bool
-        Whether the card has no room left.
-    """
+    NAMES = (
+        *("busy", "full", "silent", "session-lost", "lost-picture", "missing-announcement", "missing-completion"),
+        *("torn-download", "stalled-download", "slow-download", "repeated-frame", "wrong-exposure"),
+    )
+    """In turn: 'device busy' or 'card full' in answer to a release; an operation that is not answered; a session that
+    the camera has forgotten; a release that comes to nothing; one of the two events not sent; a download that ends
+    half-way, that stops half-way without an end, that takes `SLOW_S` longer; the file before once more; an exposure
+    of half the time."""
 
-    lost_events: int = 0
-    lost_pictures: int = 0
-    torn_downloads: int = 0
-    busy: int = 0
-    silent: int = 0
-    full: bool = False
+    def __init__(self, board: FaultBoard) -> None:
+        self._left = dict.fromkeys(self.NAMES, 0)
+        for name in self.NAMES:
+            board.offer(name, self._strikes(name))
 
     def spend(self, name: str) -> bool:
         """Whether the named fault strikes now; counts it down."""
-        left = int(getattr(self, name))
-        setattr(self, name, max(left - 1, 0))
+        left = self._left[name]
+        self._left[name] = max(left - 1, 0)
         return left > 0
+
+    def _strikes(self, name: str) -> Callable[[int], None]:
+        def strike(times: int = 1) -> None:
+            self._left[name] = times
+
+        return strike
 
 
 @dataclass
 class Answer:
-    """How the camera answers one operation; `sent_bytes` is less than the data where a download is torn."""
+    """How the camera answers one operation.
+
+    Attributes
+    ----------
+    code : int
+        Response code.
+    parameters : tuple of int
+        Of the response.
+    data : bytes or None
+        What comes before the response; None where the operation has no data.
+    sent_bytes : int or None
+        How much of the data really comes; None for all of it.
+    stalls : bool
+        Whether nothing more comes after that, not even the response.
+    after_s : float
+        How much later all of it comes.
+    """
 
     code: int
     parameters: tuple[int, ...] = ()
     data: bytes | None = None
     sent_bytes: int | None = None
+    stalls: bool = False
+    after_s: float = 0.0
 
 
 @dataclass
@@ -114,21 +133,44 @@ class PtpResponder:
         What it looks at, and whose time its exposures take.
     readout_s : float
         From the end of the exposure to the file on the card.
+    download_s : float
+        What a file takes to come over the wire, beyond what the simulated wire itself takes.
+    recovery_s : float
+        For so long after a file is on the card the next release is refused; 0.35 to 0.5 s on some cameras.
     serial_number : str
         What it says it is.
     lacks : collection of int
         Operations that this model does not offer.
+
+    Attributes
+    ----------
+    board : FaultBoard
+        What can go wrong with it; it counts operations.
     """
 
     def __init__(
-        self, world: World, *, readout_s: float = 0.05, serial_number: str = "LS0001", lacks: Collection[int] = ()
+        self,
+        world: World,
+        *,
+        readout_s: float = 0.05,
+        download_s: float = 0.0,
+        recovery_s: float = 0.0,
+        serial_number: str = "LS0001",
+        lacks: Collection[int] = (),
     ) -> None:
-        self.faults = CameraFaults()
+        self.board = FaultBoard()
+        self.board.offer("asleep", self._fall_asleep)
         self.serial_number = serial_number
-        self._world, self._readout_s = world, readout_s
+        self._faults = CameraFaults(self.board)
+        self._world = world
+        self._readout_s, self._download_s, self._recovery_s = readout_s, download_s, recovery_s
+        self._lose_links: list[Callable[[], None]] = []
+        self._slept = False
         self._session = 0
         self._files: dict[int, bytes] = {}
         self._next_handle = 1
+        self._last = b""
+        self._recovered_s = -math.inf
         self._due: list[_Due] = []
         self._properties = {
             EXPOSURE_TIME: _Property(U32, 200, EXPOSURE_TICKS),
@@ -139,6 +181,8 @@ class PtpResponder:
             0x1002: self._open_session,
             0x1003: self._close_session,
             0x1004: lambda _p, _d: Answer(OK, data=_array("I", (STORAGE,))),
+            0x1005: self._storage_info,
+            0x1006: lambda _p, _d: Answer(OK, (len(self._files),)),
             0x1007: lambda _p, _d: Answer(OK, data=_array("I", tuple(self._files))),
             0x1008: self._object_info,
             0x1009: self._object,
@@ -150,24 +194,37 @@ class PtpResponder:
         }
         self._operations = {code: run for code, run in operations.items() if code not in lacks}
 
+    def when_asleep(self, lose_link: Callable[[], None]) -> None:
+        """Have the camera's port called when it falls asleep: its link ends there, and it can be found anew."""
+        self._lose_links.append(lose_link)
+
     def operate(self, code: int, parameters: tuple[int, ...], data: bytes = b"") -> Answer | None:
         """Carry out one operation; None where the camera stays silent."""
+        self._slept = False
+        self.board.message()
         self._settle()
-        if self.faults.spend("silent"):
+        if self._slept or self._faults.spend("silent"):
             return None
+        if self._faults.spend("session-lost"):
+            self.reset()
         if code not in self._operations:
             return Answer(NOT_SUPPORTED)
         if not self._session and code not in (0x1001, 0x1002):
             return Answer(NO_SESSION)
         return self._operations[code]((*parameters, 0, 0, 0), data)
 
+    def now(self) -> float:
+        """Time of the camera's world, seconds."""
+        return self._world.now()
+
     def reset(self) -> None:
-        """Forget the session, as after the class request 'device reset'."""
+        """Forget the session, as after the USB class request 'device reset' or a lost connection."""
         self._session = 0
 
     def event_due_s(self) -> float | None:
         """When the next event will be sent, or None where none is on its way."""
-        return min(self._due).time_s if self._due else None
+        due = list(self._due)  # asked from another thread where the camera waits in one of its own
+        return min(due).time_s if due else None
 
     def take_event(self) -> tuple[int, int] | None:
         """Code and parameter of the next event, if its time has come."""
@@ -176,7 +233,8 @@ class PtpResponder:
         due = min(self._due)
         self._due.remove(due)
         self._file(due)
-        if due.code == OBJECT_ADDED and self.faults.spend("lost_events"):
+        missing = "missing-announcement" if due.code == OBJECT_ADDED else "missing-completion"
+        if self._faults.spend(missing):
             return self.take_event()
         return due.code, due.parameter
 
@@ -207,6 +265,11 @@ class PtpResponder:
         self._session = 0
         return Answer(OK)
 
+    def _storage_info(self, _parameters: tuple[int, ...], _data: bytes) -> Answer:
+        # removable memory, generic hierarchy, read and write; its size, what is free of it in bytes and in pictures
+        data = struct.pack("<HHHQQI", 4, 2, 0, 1 << 36, 1 << 35, 9999)
+        return Answer(OK, data=data + _text("card") + _text(""))
+
     def _object_info(self, parameters: tuple[int, ...], _data: bytes) -> Answer:
         handle = parameters[0]
         if handle not in self._files:
@@ -220,24 +283,44 @@ class PtpResponder:
         if handle not in self._files:
             return Answer(BAD_HANDLE)
         data = self._files[handle]
-        return Answer(OK, data=data, sent_bytes=len(data) // 2 if self.faults.spend("torn_downloads") else None)
+        torn, stalled = self._faults.spend("torn-download"), self._faults.spend("stalled-download")
+        return Answer(
+            OK,
+            data=data,
+            sent_bytes=len(data) // 2 if torn or stalled else None,
+            stalls=stalled,
+            after_s=self._download_s + SLOW_S * self._faults.spend("slow-download"),
+        )
 
     def _delete(self, parameters: tuple[int, ...], _data: bytes) -> Answer:
         return Answer(BAD_HANDLE if self._files.pop(parameters[0], None) is None else OK)
 
     def _capture(self, _parameters: tuple[int, ...], _data: bytes) -> Answer:
-        if self.faults.full:
+        now = self._world.now()
+        if self._faults.spend("full"):
             return Answer(STORE_FULL)
-        if any(due.time_s > self._world.now() for due in self._due) or self.faults.spend("busy"):
+        if now < self._recovered_s or any(due.time_s > now for due in self._due) or self._faults.spend("busy"):
             return Answer(BUSY)
-        if self.faults.spend("lost_pictures"):
+        if self._faults.spend("lost-picture"):
             return Answer(OK)
         exposure_s = self._properties[EXPOSURE_TIME].value / TICKS_PER_S
+        if self._faults.spend("wrong-exposure"):
+            exposure_s /= 2
         picture = self._world.expose(exposure_s, self._properties[EXPOSURE_INDEX].value)
-        ready = self._world.now() + exposure_s + self._readout_s
+        if self._last and self._faults.spend("repeated-frame"):
+            picture = self._last
+        self._last = picture
+        ready = now + exposure_s + self._readout_s
+        self._recovered_s = ready + self._recovery_s
         handle, self._next_handle = self._next_handle, self._next_handle + 1
         self._due += [_Due(ready, OBJECT_ADDED, handle, (handle, picture)), _Due(ready, CAPTURE_COMPLETE, 0)]
         return Answer(OK)
+
+    def _fall_asleep(self) -> None:
+        self._slept = True
+        self.reset()
+        for lose_link in self._lose_links:
+            lose_link()
 
     def _describe(self, parameters: tuple[int, ...], _data: bytes) -> Answer:
         prop = self._properties.get(parameters[0])

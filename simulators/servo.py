@@ -14,7 +14,6 @@ from collections.abc import Callable
 from enum import IntEnum, IntFlag
 from typing import Protocol
 
-from simulators.faults import WireFaults
 from simulators.servo_motion import Trajectory, move, rest
 from simulators.servo_table import MODELS, TABLE_SIZE, Area, Memory
 
@@ -24,6 +23,11 @@ STEPS_S2_PER_ACCELERATION = 214.577 / 3600 * STEPS_PER_TURN
 OVERLOAD_AFTER_S = 1.5
 """How long a servo pushes against an obstacle before it gives up."""
 WATCHDOG_UNIT_S = 0.02
+TRIPPED = -1
+"""Bus Watchdog(98) after it has struck: goals are refused until it is set to 0."""
+TIME_BASED = 0x04
+"""Bit of Drive Mode(10): the profile registers hold milliseconds."""
+GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 
 
@@ -56,8 +60,8 @@ class World(Protocol):
         """Time, seconds."""
         ...
 
-    def attach_servo(self, servo_id: int, position_rad: Callable[[float], float]) -> None:
-        """Let the world ask for the shaft's angle at any time."""
+    def attach(self, actuator: str, position: Callable[[float], float]) -> None:
+        """Let the world ask for the shaft's angle, radians, at any time."""
         ...
 
 
@@ -69,43 +73,74 @@ class Servo:
     """
 
     def __init__(self, world: World, servo_id: int, *, model: str = "XL430-W250", position: int = 2048) -> None:
+        self.model = model
         self.memory = Memory(MODELS[model])
         self.memory["id"] = servo_id
-        self.faults = WireFaults()
         self._world = world
         self._lock = threading.RLock()
         self._course: deque[Trajectory] = deque([rest(float(position), world.now())], maxlen=256)
         self._pending: tuple[int, bytes] | None = None
-        self._jammed_at: float | None = None
+        self._pushing_since: float | None = None
         self._heard_at = world.now()
+        self._dead_until = -math.inf
         self.memory["goal_position"] = position
-        world.attach_servo(servo_id, self.shaft_rad)
+        world.attach(f"servo {servo_id}", self.shaft_rad)
 
     def shaft_rad(self, time_s: float) -> float:
         """Angle of the shaft at a time, on the scale of Present Position but without its rounding, radians."""
         with self._lock:
+            self._refresh()
             return (self._motion_at(time_s)[0] + self.memory["homing_offset"]) * 2 * math.pi / STEPS_PER_TURN
 
     def jam(self) -> None:
         """Put an obstacle in the shaft's way: it stops and pushes, until the overload alarm switches its torque off."""
         with self._lock:
-            self._jammed_at = self._world.now()
+            self._pushing_since = self._world.now()
             self._stop()
 
     def free(self) -> None:
         """Take the obstacle away; the servo resumes its move if it still has torque."""
         with self._lock:
             self._refresh()
-            self._jammed_at = None
+            self._pushing_since = None
             self._depart()
 
     def raise_alarm(self, alarm: Alarm) -> None:
         """Let the servo find something wrong; those alarms that Shutdown(63) names switch the torque off."""
         with self._lock:
             self.memory["hardware_error"] |= alarm
+            if alarm & Alarm.OVERHEATING:
+                self.memory["temperature"] = self.memory["temperature_limit"] + 3
+            if alarm & Alarm.VOLTAGE:
+                self.memory["voltage"] = self.memory["min_voltage"] - 5
             if alarm & self.memory["shutdown"]:
                 self._stop()
                 self.memory["torque"] = 0
+
+    def lose_power(self, for_s: float = 0.0) -> None:
+        """Go dead for so long, then start anew."""
+        with self._lock:
+            self.reboot()
+            self._dead_until = self._world.now() + for_s
+
+    @property
+    def powered(self) -> bool:
+        """Whether it can hear and answer."""
+        return self._world.now() >= self._dead_until
+
+    def trip_watchdog(self) -> None:
+        """Stop as if nobody had been talking on the bus for too long."""
+        with self._lock:
+            self.memory["bus_watchdog"] = TRIPPED
+            self._stop()
+
+    def twin(self) -> Servo:
+        """Another servo of the same id, whose shaft stands elsewhere and carries nothing."""
+        with self._lock:
+            elsewhere = (self._steps() + STEPS_PER_TURN // 3) % STEPS_PER_TURN
+            other = Servo(_Aside(self._world), self.memory["id"], model=self.model, position=elsewhere)
+            other.memory["baud"] = self.memory["baud"]
+            return other
 
     def read(self, address: int, size: int) -> tuple[Refusal, bytes]:
         """Bytes of the control table, brought up to date."""
@@ -148,8 +183,8 @@ class Servo:
             for name, entry in self.memory.table.items():
                 if entry.area is Area.RAM:
                     self.memory[name] = entry.initial
-            self.memory["hardware_error"] = 0
-            self.memory["registered"] = 0
+            for name in ("hardware_error", "registered", "temperature", "voltage"):
+                self.memory[name] = self.memory.table[name].initial
             self._pending = None
             self.memory["goal_position"] = self._steps()
 
@@ -172,12 +207,22 @@ class Servo:
 
     def _depart(self) -> None:
         m, now = self.memory, self._world.now()
-        if not m["torque"] or m["operating_mode"] not in (3, 4) or self._jammed_at is not None:
+        if not m["torque"] or m["operating_mode"] not in (3, 4):
             return
-        speed = min(m["profile_velocity"] or m["velocity_limit"], m["velocity_limit"]) * STEPS_S_PER_VELOCITY
-        acceleration = m["profile_acceleration"] * STEPS_S2_PER_ACCELERATION or math.inf
-        goal = m["goal_position"] - m["homing_offset"]
-        self._course.append(move(now, *self._motion_at(now), goal, speed, acceleration))
+        if self._pushing_since is not None:
+            self._pushing_since = now
+            return
+        speed, acceleration = m["velocity_limit"] * STEPS_S_PER_VELOCITY, math.inf
+        goal, (here, velocity) = m["goal_position"] - m["homing_offset"], self._motion_at(now)
+        if m["drive_mode"] & TIME_BASED and m["profile_velocity"]:
+            whole_s = m["profile_velocity"] / 1000
+            ramp_s = min(m["profile_acceleration"] / 1000, whole_s / 2)
+            speed = min(speed, max(abs(goal - here), 1e-6) / (whole_s - ramp_s))
+            acceleration = speed / ramp_s if ramp_s else math.inf
+        elif m["profile_velocity"]:
+            speed = min(speed, m["profile_velocity"] * STEPS_S_PER_VELOCITY)
+            acceleration = m["profile_acceleration"] * STEPS_S2_PER_ACCELERATION or math.inf
+        self._course.append(move(now, here, velocity, goal, speed, acceleration))
 
     def _checked(self, address: int, data: bytes) -> tuple[Refusal, list[tuple[str, int]]]:
         m = self.memory
@@ -195,9 +240,9 @@ class Servo:
             single_turn = name == "goal_position" and m["operating_mode"] == 3
             if single_turn and not m["min_position"] <= value <= m["max_position"]:
                 return Refusal.LIMIT, []
-            if name == "profile_velocity" and value > m["velocity_limit"]:
+            if name == "profile_velocity" and value > m["velocity_limit"] and not m["drive_mode"] & TIME_BASED:
                 return Refusal.LIMIT, []
-            if name == "goal_position" and m["bus_watchdog"] == -1:
+            if (name in GOALS or (name == "bus_watchdog" and value)) and m["bus_watchdog"] == TRIPPED:
                 return Refusal.RANGE, []
             if name == "torque" and value and m["hardware_error"] & m["shutdown"]:
                 return Refusal.ACCESS, []
@@ -217,11 +262,11 @@ class Servo:
         m, now = self.memory, self._world.now()
         silent_at = self._heard_at + m["bus_watchdog"] * WATCHDOG_UNIT_S
         if m["bus_watchdog"] > 0 and m["torque"] and now > silent_at:
-            m["bus_watchdog"] = -1
+            m["bus_watchdog"] = TRIPPED
             self._stop(silent_at)
         position, velocity = self._motion_at(now)
-        pushing = self._jammed_at is not None and m["torque"] and abs(m["goal_position"] - self._steps()) > 1
-        if pushing and self._jammed_at is not None and now - self._jammed_at > OVERLOAD_AFTER_S:
+        pushing = self._pushing_since is not None and m["torque"] and abs(m["goal_position"] - self._steps()) > 1
+        if pushing and self._pushing_since is not None and now - self._pushing_since > OVERLOAD_AFTER_S:
             self.raise_alarm(Alarm.OVERLOAD)
         under_way = bool(m["torque"]) and now < self._course[-1].end_s
         way = 1 if m["goal_position"] > self._steps() else -1
@@ -233,3 +278,13 @@ class Servo:
         arrived = abs(position + m["homing_offset"] - m["goal_position"]) < 1
         m["moving_status"] = profile | (0x02 if under_way else 0) | (0x01 if arrived else 0)
         m["tick"] = int(now * 1000) % 32768
+
+
+class _Aside:
+    """A world that does not see what is attached to it."""
+
+    def __init__(self, world: World) -> None:
+        self.now = world.now
+
+    def attach(self, actuator: str, position: Callable[[float], float]) -> None:
+        """Take no notice."""

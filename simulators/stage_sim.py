@@ -1,65 +1,58 @@
-"""Everything that a rig has, simulated: servos and lamp behind ports, the camera behind USB, one world behind them."""
+"""Everything that a rig has, simulated: each device at the far end of its wire, one world behind them all."""
 
 from __future__ import annotations
 
-import math
+from contextlib import ExitStack
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
-from simulators import dmx, ptp, servo
-from simulators.dmx import DmxWidget
-from simulators.ports import PtyPort
-from simulators.ptp import PtpResponder
-from simulators.servo import BAUD_RATES, STEPS_PER_TURN, Servo
-from simulators.servo_bus import ServoBus
+from simulators.faults import FaultBoard
 from simulators.usb_backend import VirtualUsb
-from simulators.usb_camera import StillImageFunction
-from stage.clock import Clock
-from stage.rig import Rig
-
-
-class World(servo.World, dmx.World, ptp.World, Protocol):
-    """All that the simulated devices ask of their world; `simulators.world.RigWorld` is one."""
+from simulators.wiring import Part, SimulationClock, Wiring, World
+from stage.rig import FixedDome, Replay, Rig
 
 
 class SimulatedStage:
     """The far ends of a rig's wires.
 
-    A driver that opens `rig.motion.port`, `rig.light.port` and a camera on `usb` finds what it would find on a bench.
-    The simulators can be reached by name to let things go wrong.
+    A driver that is made for `rig`, with `usb` in place of the system's USB, finds what it would find on a bench.
 
     Parameters
     ----------
     world : World
         Where the devices act.
     rig : Rig
-        What to simulate; its ports are replaced.
-    clock : Clock
+        What to simulate; its addresses are replaced.
+    clock : SimulationClock
         The world's time, which USB reads wait in.
+
+    Attributes
+    ----------
+    parts : dict of str to Part
+        The devices by role: motion (but of a fixed dome), light, and camera (but for a replay).
+    rig : Rig
+        The description with the addresses that the simulated devices answer at.
     """
 
-    def __init__(self, world: World, rig: Rig, clock: Clock) -> None:
-        self._joints = rig.motion.joints
-        self.servos = tuple(
-            self._mounted(world, joint.servo_id, joint.servo_rad(_middle(joint.limits_rad))) for joint in self._joints
-        )
-        for unit in self.servos:
-            unit.memory["baud"] = BAUD_RATES.index(rig.motion.baudrate)
-        self.bus = ServoBus(self.servos)
-        self.widget = DmxWidget(world)
-        self.camera = PtpResponder(world)
-        self.camera_plug = StillImageFunction(self.camera)
+    def __init__(self, world: World, rig: Rig, clock: SimulationClock) -> None:
         self.usb = VirtualUsb(clock)
-        self.usb.plug_in(self.camera_plug)
-        self.motion_port = PtyPort(self.bus.feed, "servos", baudrate=lambda: self.bus.baudrate)
-        self.light_port = PtyPort(self.widget.feed, "dmx")
-        self.rig = rig.with_ports(motion=self.motion_port.path, light=self.light_port.path)
+        self.parts: dict[str, Part] = {}
+        self._clock = clock
+        with ExitStack() as undo:
+            undo.callback(self.close)
+            self._build(rig, Wiring(world, clock, self.usb))
+            undo.pop_all()
+        self.rig = rig.plugged_in({role: part.address for role, part in self.parts.items()})
+
+    @property
+    def boards(self) -> dict[str, FaultBoard]:
+        """What can go wrong, by role."""
+        return {role: part.board for role, part in self.parts.items()}
 
     def close(self) -> None:
         """Pull all plugs; callable any number of times."""
-        self.motion_port.close()
-        self.light_port.close()
-        self.usb.unplug(self.camera_plug)
+        for part in self.parts.values():
+            part.plug.close()
 
     def __enter__(self) -> Self:
         return self
@@ -69,10 +62,24 @@ class SimulatedStage:
     ) -> None:
         self.close()
 
-    @staticmethod
-    def _mounted(world: World, servo_id: int, shaft_rad: float) -> Servo:
-        return Servo(world, servo_id, position=round(shaft_rad / (2 * math.pi) * STEPS_PER_TURN))
+    def _build(self, rig: Rig, wiring: Wiring) -> None:
+        if not isinstance(rig.motion, FixedDome):
+            self._add("motion", wiring.motion(rig.motion))
+        self._add("light", wiring.light(rig, self.parts.get("motion")))
+        if not isinstance(rig.camera.device, Replay):
+            self._add("camera", wiring.camera(rig.camera))
 
+    def _add(self, role: str, part: Part) -> None:
+        def pull() -> None:
+            part.plug.unplug()
+            if part.lose_power is not None:
+                part.lose_power()
 
-def _middle(limits_rad: tuple[float, float]) -> float:
-    return sum(limits_rad) / 2
+        def unplug(for_s: float | None = None) -> None:
+            # from the clock, because a fault may strike in the thread that the plug has to wait for
+            self._clock.at(self._clock.now(), pull)
+            if for_s is not None:
+                self._clock.at(self._clock.now() + for_s, part.plug.plug_in)
+
+        part.board.offer("unplug", unplug)
+        self.parts[role] = part

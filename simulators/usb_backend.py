@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import array
 import errno
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any, Protocol
 
@@ -20,7 +23,15 @@ CONFIGURATION = 1
 
 
 class UsbStallError(Exception):
-    """A device does not know a request, and stalls the pipe."""
+    """A device does not take what it was sent, and stalls the pipe: a bulk pipe until the host clears it."""
+
+
+class UsbSilentError(Exception):
+    """A device keeps the host waiting until that gives up."""
+
+
+class UsbGoneError(Exception):
+    """A device has dropped off the bus and come back as a new one, for which nobody holds a handle yet."""
 
 
 class Clock(Protocol):
@@ -69,13 +80,13 @@ class UsbFunction(Protocol):
         ...
 
     def control(self, request_type: int, request: int, value: int, index: int, data: bytes) -> bytes:
-        """Answer a control request, or raise `UsbStallError`."""
+        """Answer a control request, or raise `UsbStallError` or `UsbSilentError`."""
         ...
 
 
 class _Handle:
-    def __init__(self, device: UsbFunction) -> None:
-        self.device = device
+    def __init__(self, device: UsbFunction, visit: int) -> None:
+        self.device, self.visit = device, visit
 
 
 class VirtualUsb(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
@@ -91,17 +102,21 @@ class VirtualUsb(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         self._clock = clock
         self._devices: list[UsbFunction] = []
         self._claims: dict[int, _Handle] = {}
+        self._visits: Counter[int] = Counter()
+        self._halted: set[tuple[int, int]] = set()
 
     def plug_in(self, device: UsbFunction) -> None:
         """Let a device appear."""
         if device not in self._devices:
             self._devices.append(device)
+            self._visits[id(device)] += 1
 
     def unplug(self, device: UsbFunction) -> None:
         """Let a device vanish, even under a driver that has it open."""
         if device in self._devices:
             self._devices.remove(device)
             self._claims.pop(id(device), None)
+            self._halted -= {(id(device), address) for address, _, _ in device.endpoints}
 
     def enumerate_devices(self) -> Any:
         """All devices on the bus."""
@@ -152,7 +167,7 @@ class VirtualUsb(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
 
     def open_device(self, dev: UsbFunction) -> _Handle:
         """Open; claiming an interface is what excludes others."""
-        handle = _Handle(dev)
+        handle = _Handle(dev, self._visits[id(dev)])
         self._present(handle)
         return handle
 
@@ -189,24 +204,27 @@ class VirtualUsb(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         self._present(dev_handle)
 
     def clear_halt(self, dev_handle: _Handle, ep: int) -> None:
-        """Clear a stall; pipes here do not stay stalled."""
+        """Clear the stall of a bulk pipe."""
         self._present(dev_handle)
+        self._halted.discard((id(dev_handle.device), ep))
 
     def bulk_write(self, dev_handle: _Handle, ep: int, intf: int, data: Any, timeout: int) -> int:
         """Host to device."""
         self._present(dev_handle)
-        dev_handle.device.host_sends(ep, bytes(data))
+        with self._pipe(dev_handle, ep):
+            dev_handle.device.host_sends(ep, bytes(data))
         return len(data)
 
     def bulk_read(self, dev_handle: _Handle, ep: int, intf: int, buff: Any, timeout: int) -> int:
         """Device to host; waits in the bus's time."""
         self._present(dev_handle)
-        data = dev_handle.device.host_reads(ep, len(buff))
-        if data is None:
-            due = dev_handle.device.ready_s(ep)
-            wait = timeout / 1000 if due is None else max(due - self._clock.now(), 0.0)
-            self._clock.sleep(min(wait, timeout / 1000))
+        with self._pipe(dev_handle, ep):
             data = dev_handle.device.host_reads(ep, len(buff))
+            if data is None:
+                due = dev_handle.device.ready_s(ep)
+                wait = timeout / 1000 if due is None else max(due - self._clock.now(), 0.0)
+                self._clock.sleep(min(wait, timeout / 1000))
+                data = dev_handle.device.host_reads(ep, len(buff))
         if data is None:
             raise usb.core.USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
         buff[: len(data)] = array.array("B", data)
@@ -241,6 +259,11 @@ class VirtualUsb(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
                 answer = dev_handle.device.control(bmRequestType, bRequest, wValue, wIndex, sent)
             except UsbStallError:
                 raise usb.core.USBError("Pipe error", -9, errno.EPIPE) from None
+            except UsbGoneError:
+                raise self._replugged(dev_handle.device) from None
+            except UsbSilentError:
+                self._clock.sleep(timeout / 1000)
+                raise usb.core.USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT) from None
         if not to_host:
             return len(data)
         answer = answer[: len(data)]
@@ -251,6 +274,28 @@ class VirtualUsb(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         text = device.strings[index - 1].encode("utf-16-le") if index else LANGUAGE_EN_US.to_bytes(2, "little")
         return bytes([len(text) + 2, STRING_DESCRIPTOR]) + text
 
+    @contextmanager
+    def _pipe(self, handle: _Handle, endpoint: int) -> Iterator[None]:
+        pipe = (id(handle.device), endpoint)
+        if pipe not in self._halted:
+            try:
+                yield
+                return
+            except UsbStallError:
+                self._halted.add(pipe)
+            except UsbGoneError:
+                raise self._replugged(handle.device) from None
+        raise usb.core.USBError("Pipe error", -9, errno.EPIPE)
+
     def _present(self, handle: _Handle) -> None:
-        if handle.device not in self._devices:
-            raise usb.core.USBError("No such device (it may have been disconnected)", -4, errno.ENODEV)
+        if handle.device not in self._devices or handle.visit != self._visits[id(handle.device)]:
+            raise _no_such_device()
+
+    def _replugged(self, device: UsbFunction) -> usb.core.USBError:
+        self.unplug(device)
+        self.plug_in(device)
+        return _no_such_device()
+
+
+def _no_such_device() -> usb.core.USBError:
+    return usb.core.USBError("No such device (it may have been disconnected)", -4, errno.ENODEV)

@@ -1,4 +1,4 @@
-"""A rehearsal bench for tests: a world in closed form, a clock with appointments, and a rig description."""
+"""A rehearsal bench for tests: a world in closed form, and a rig description."""
 
 from __future__ import annotations
 
@@ -11,45 +11,33 @@ from stage.camera import Camera
 from stage.rig import Rig, rig_from_mapping
 
 
-class AppointmentClock(VirtualClock):
-    """A virtual clock that calls somebody back when a time has come, so that a fault can strike in mid-move."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._appointments: list[tuple[float, Callable[[], None]]] = []
-
-    def at(self, time_s: float, call: Callable[[], None]) -> None:
-        self._appointments.append((time_s, call))
-
-    def sleep(self, seconds: float) -> None:
-        super().sleep(seconds)
-        due = [entry for entry in self._appointments if entry[0] <= self.now()]
-        self._appointments = [entry for entry in self._appointments if entry not in due]
-        for _, call in due:
-            call()
-
-
 class PlainWorld:
     """Records what the devices do; its 'photograph' is a JSON text that says where servos and lamp were."""
 
     def __init__(self, clock: VirtualClock) -> None:
         self.clock = clock
+        self.frames = 0
         self.levels = bytes(512)
-        self.shafts: dict[int, Callable[[float], float]] = {}
+        self.lights: dict[str, float] = {}
+        self.drives: dict[str, Callable[[float], float]] = {}
 
     def now(self) -> float:
         return self.clock.now()
 
-    def attach_servo(self, servo_id: int, position_rad: Callable[[float], float]) -> None:
-        self.shafts[servo_id] = position_rad
+    def attach(self, actuator: str, position: Callable[[float], float]) -> None:
+        self.drives[actuator] = position
 
     def set_channels(self, levels: bytes) -> None:
         self.levels = levels
 
+    def set_light(self, key: str, level: float) -> None:
+        self.lights[key] = level
+
     def expose(self, exposure_s: float, iso: int = 100) -> bytes:
         middle = self.now() + exposure_s / 2
-        shafts = {servo: shaft(middle) for servo, shaft in self.shafts.items()}
-        seen = {"shafts": shafts, "level": self.levels[0], "exposure_s": exposure_s, "iso": iso}
+        drives = {name: drive(middle) for name, drive in self.drives.items()}
+        self.frames += 1  # two photographs are never the same
+        seen = {"frame": self.frames, "drives": drives, "level": self.levels[0], "exposure_s": exposure_s, "iso": iso}
         return json.dumps(seen).encode().ljust(1100)  # two USB packets and a bit
 
 
@@ -69,9 +57,11 @@ def rig_mapping(**changes: Any) -> dict[str, Any]:
         "motion": {
             "driver": "dynamixel",
             "port": "/dev/null-servos",
-            "radius_m": 0.8,
-            "pan": {"servo_id": 1, "limits_deg": [-170, 170]},
-            "tilt": {"servo_id": 2, "limits_deg": [-5, 170], "zero_deg": 90, "direction": 1},
+            "kinematics": {"kind": "pan-tilt", "radius_m": 0.8},
+            "joints": [
+                {"servo_id": 1, "limits_deg": [-170, 170]},
+                {"servo_id": 2, "limits_deg": [-5, 170], "zero_deg": 90, "direction": 1},
+            ],
         },
         "light": {
             "driver": "enttec-dmx-usb-pro",

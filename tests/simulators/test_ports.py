@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import fcntl
 import os
 import select
 import termios
@@ -17,6 +18,9 @@ from simulators.servo_bus import ServoBus
 from tests.bench import PlainWorld
 
 pytestmark = pytest.mark.system
+
+TIOCGEXCL = 0x80045440
+"""Whether a terminal is exclusive (Linux, asm-generic/ioctls.h); the termios module does not name it."""
 
 
 def ask(path: str, data: bytes, size: int) -> bytes:
@@ -104,3 +108,74 @@ def test_the_vendors_own_port_and_group_reads_work_unchanged() -> None:
         assert (bulk.getData(1, 132, 4), bulk.getData(7, 146, 1)) == (100, 32)
         assert protocol.reboot(handler, 1) == (sdk.COMM_SUCCESS, 0)
         handler.closePort()
+
+
+def test_answers_that_are_held_back_keep_their_order_and_their_turn() -> None:
+    with PtyPort(lambda data: data) as port:
+        port.board.strike("late", seconds=0.05, after=1, times=2)
+        waits = []
+        for _ in range(4):
+            start = time.monotonic()
+            assert ask(port.path, b"x", 1) == b"x"
+            waits.append(time.monotonic() - start >= 0.05)
+        assert waits == [False, True, True, False]
+
+
+def test_unplugging_does_not_wait_for_an_answer_that_is_held_back() -> None:
+    with PtyPort(lambda data: data) as port:
+        port.hold_back(60.0)
+        host = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
+        os.write(host, b"x")
+        assert not select.select([host], [], [], 0.02)[0]
+        port.unplug()
+        os.close(host)
+
+
+def test_a_device_may_pull_its_own_plug_in_mid_answer() -> None:
+    def feed(data: bytes) -> bytes:
+        port.unplug()
+        return data
+
+    threads = threading.active_count()
+    with PtyPort(feed) as port:
+        host = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
+        os.write(host, b"x")
+        assert select.select([host], [], [], 1.0)[0]
+        assert os.read(host, 1) == b""  # hung up
+        os.close(host)
+        port.plug_in()
+        assert Path(port.path).exists()
+    assert threading.active_count() == threads
+
+
+def test_the_device_is_told_the_hosts_rate() -> None:
+    rates: list[int] = []
+    with PtyPort(lambda data: data, heard_at=rates.append) as port:
+        host = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
+        for speed in (termios.B57600, termios.B1000000):
+            attributes = termios.tcgetattr(host)
+            attributes[4] = attributes[5] = speed
+            termios.tcsetattr(host, termios.TCSANOW, attributes)
+            os.write(host, b"x")
+            assert os.read(host, 1) == b"x"
+        os.close(host)
+    assert rates == [57600, 1_000_000]
+
+
+def test_a_port_forgets_who_had_it_alone_once_it_is_idle() -> None:
+    with PtyPort(lambda data: data) as port:
+        host = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
+        fcntl.ioctl(host, termios.TIOCEXCL)
+        os.close(host)  # as when the program is killed
+        deadline = time.monotonic() + 5
+        while exclusive(port.path):
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+
+
+def exclusive(path: str) -> bool:
+    host = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        return bool(int.from_bytes(fcntl.ioctl(host, TIOCGEXCL, bytes(4)), "little"))
+    finally:
+        os.close(host)

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simulators.clock import VirtualClock
-from simulators.faults import NOISE_BYTES, WireFault
 from simulators.servo import OVERLOAD_AFTER_S, Alarm, Servo
-from simulators.servo_bus import ServoBus, crc16, packet, stuff, unstuff
+from simulators.servo_bus import ServoBus
+from simulators.servo_packets import crc16, packet, stuff, unstuff
 from tests.bench import PlainWorld
 
 PING_1 = bytes.fromhex("FF FF FD 00 01 03 00 01 19 4E")
@@ -216,10 +216,10 @@ def test_motion_is_a_trapezoid_in_the_worlds_time(bench: Bench) -> None:
     assert middle == pytest.approx(2579, abs=1)
     assert bench.read(2, 128, 4)[1] == 100
     assert bench.read(2, 122, 1)[1] == 1
-    assert bench.world.shafts[2](ends / 2) == pytest.approx(2579 / 4096 * 2 * math.pi, abs=1e-9)
+    assert bench.world.drives["servo 2"](ends / 2) == pytest.approx(2579 / 4096 * 2 * math.pi, abs=1e-9)
     bench.clock.sleep(ends / 2 + 1e-6)
     assert (bench.read(2, 132, 4)[1], bench.read(2, 122, 1)[1], bench.read(2, 123, 1)[1] & 1) == (3079, 0, 1)
-    assert bench.world.shafts[2](0.0) == pytest.approx(2079 / 4096 * 2 * math.pi)  # the past stays what it was
+    assert bench.world.drives["servo 2"](0.0) == pytest.approx(2079 / 4096 * 2 * math.pi)  # the past stays what it was
 
 
 def test_torque_off_stops_the_shaft_and_torque_on_forgets_the_goal(bench: Bench) -> None:
@@ -292,15 +292,65 @@ def test_alarms_outside_the_shutdown_mask_leave_the_torque_on(bench: Bench) -> N
     assert bench.read(2, 64, 1) == (0x80, 1)
 
 
-@pytest.mark.parametrize(
-    ("fault", "expected"),
-    [
-        (WireFault.SILENCE, b""),
-        (WireFault.GARBLED, PONG_1[:-1] + b"\x5c"),
-        (WireFault.TRUNCATED, PONG_1[:7]),
-        (WireFault.NOISE, NOISE_BYTES + PONG_1),
-    ],
-)
-def test_wire_faults_strike_when_armed_and_then_are_spent(bench: Bench, fault: WireFault, expected: bytes) -> None:
-    bench.one.faults.arm(fault, after=1)
-    assert [bench.bus.feed(PING_1) for _ in range(3)] == [PONG_1, expected, PONG_1]
+def test_a_time_based_profile_arrives_when_it_is_told_to(bench: Bench) -> None:
+    bench.write(2, 10, 4, 1)
+    bench.write(2, 64, 1, 1)
+    for way in (400, 40):
+        bench.write(2, 108, 500)  # milliseconds of speeding up
+        bench.write(2, 112, 2000)  # milliseconds of the whole move
+        goal = bench.read(2, 132, 4)[1] + way
+        bench.write(2, 116, goal)
+        bench.clock.sleep(1.0)
+        assert bench.read(2, 132, 4)[1] == pytest.approx(goal - way / 2, abs=1)
+        assert bench.read(2, 128, 4)[1] == round(way / 1.5 / (0.229 / 60 * 4096))
+        bench.clock.sleep(0.99)
+        assert bench.read(2, 122, 1)[1] == 1
+        bench.clock.sleep(0.02)
+        assert (bench.read(2, 132, 4)[1], bench.read(2, 122, 1)[1]) == (goal, 0)
+
+
+def test_without_profile_velocity_there_is_no_profile(bench: Bench) -> None:
+    bench.write(2, 108, 1)
+    bench.write(2, 64, 1, 1)
+    bench.write(2, 116, 3079)
+    bench.clock.sleep(1000 / (350 * 0.229 / 60 * 4096) + 1e-6)
+    assert bench.read(2, 132, 4)[1] == 3079
+
+
+def test_profile_and_goal_of_one_packet_go_together(bench: Bench) -> None:
+    bench.write(2, 64, 1, 1)
+    block = b"".join(value.to_bytes(4, "little") for value in (0, 100, 2179))
+    bench.bus.feed(packet(0xFE, b"\x83\x6c\x00\x0c\x00\x02" + block))
+    assert (bench.read(2, 112, 4)[1], bench.read(2, 116, 4)[1]) == (100, 2179)
+    bench.clock.sleep(1.0)
+    assert bench.read(2, 128, 4)[1] in (0, 100)
+    assert bench.world.drives["servo 2"](0.05) == pytest.approx(
+        (2079 + 0.05 * 100 * 0.229 / 60 * 4096) * 2 * math.pi / 4096
+    )
+
+
+@pytest.mark.parametrize(("address", "size"), [(100, 2), (102, 2), (104, 4), (116, 4)])
+def test_a_tripped_watchdog_refuses_every_goal_until_it_is_cleared(bench: Bench, address: int, size: int) -> None:
+    bench.one.trip_watchdog()
+    assert bench.write(1, address, 10, size) == 4
+    assert bench.write(1, 112, 10, 4) == 0  # profiles are no goals
+    assert bench.write(1, 98, 0, 1) == 0
+    assert bench.write(1, address, 10, size) == 0
+
+
+def test_the_world_sees_the_watchdog_strike_although_nobody_asks_the_servo(bench: Bench) -> None:
+    bench.write(2, 112, 50)
+    bench.write(2, 98, 10, 1)
+    bench.write(2, 64, 1, 1)
+    bench.write(2, 116, 4000)
+    bench.clock.sleep(3)
+    stopped = (2079 + 0.2 * 50 * 0.229 / 60 * 4096) * 2 * math.pi / 4096
+    assert bench.world.drives["servo 2"](bench.clock.now()) == pytest.approx(stopped)
+
+
+def test_only_servos_set_to_the_hosts_rate_hear_it(bench: Bench) -> None:
+    bench.two.memory["baud"] = 3
+    broadcast = bytes.fromhex("FF FF FD 00 FE 03 00 01 31 42")
+    for rate, answer in ((57600, PONG_1), (1_000_000, PONG_2), (115200, b""), (0, b"")):
+        bench.bus.heard_at(rate)
+        assert bench.bus.feed(broadcast) == answer

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simulators.servo_motion import move, rest
-from stage.rig import Joint
+from stage.rig import ServoJoint
 
 PLACE = st.floats(-1e4, 1e4)
 SPEED = st.floats(1, 1e4)
@@ -41,7 +41,7 @@ def test_a_move_is_smooth_keeps_its_limits_and_ends_at_rest_on_its_goal(
 def test_a_move_from_rest_takes_the_time_that_the_rig_reckons_with(
     distance: float, speed: float, acceleration: float
 ) -> None:
-    joint = Joint(servo_id=1, limits_deg=(-180, 180), speed_deg_s=speed, acceleration_deg_s2=acceleration)
+    joint = ServoJoint(servo_id=1, limits_deg=(-180, 180), speed_deg_s=speed, acceleration_deg_s2=acceleration)
     trajectory = move(0.0, 1.0, 0.0, 1.0 + distance, math.radians(speed), math.radians(acceleration))
     assert trajectory.end_s == pytest.approx(joint.travel_s(distance), abs=1e-6)
 

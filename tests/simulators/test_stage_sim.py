@@ -8,7 +8,7 @@ import pytest
 
 from drivers.dynamixel import DynamixelChain
 from drivers.enttec import EnttecLamp
-from drivers.ptp_usb import PtpUsbCamera
+from drivers.ptp_camera import PtpCamera
 from simulators.clock import VirtualClock
 from simulators.stage_sim import SimulatedStage
 from tests.bench import PlainWorld, make_rig
@@ -24,14 +24,14 @@ def test_the_camera_sees_what_servos_and_lamp_really_did() -> None:
         rig = stage.rig
         arm = DynamixelChain.from_rig(rig.motion, clock)
         lamp = EnttecLamp(rig.light, clock=clock)
-        camera = PtpUsbCamera(rig.camera.device, clock=clock, backend=stage.usb)
+        camera = PtpCamera.over_usb(rig.camera.device, clock=clock, backend=stage.usb)
         with arm, lamp, camera:
-            measured = arm.move_to((0.7, 1.1))
+            measured = arm.move_to((0.7, 1.1)).positions
             (level,) = lamp.set_level(0.25)
             frame = camera.capture(rig.camera.device.exposure_s)
         seen = json.loads(frame.data)
         for joint, target, angle in zip(rig.motion.joints, (0.7, 1.1), measured, strict=True):
-            true = joint.joint_rad(seen["shafts"][str(joint.servo_id)])
+            true = joint.joint_value(seen["drives"][f"servo {joint.servo_id}"])
             assert true == pytest.approx(target, abs=math.pi / 4096)  # the servo has 4096 steps a turn
             assert true == pytest.approx(angle, abs=1e-9)
         assert seen["level"] == round(level * 255) == 64
@@ -47,4 +47,4 @@ def test_servos_stand_in_the_middle_of_their_travel_at_first() -> None:
         SimulatedStage(PlainWorld(clock), make_rig(), clock) as stage,
         DynamixelChain.from_rig(stage.rig.motion, clock) as arm,
     ):
-        assert arm.positions_rad() == pytest.approx((0.0, math.radians(82.5)), abs=2e-3)
+        assert arm.positions() == pytest.approx((0.0, math.radians(82.5)), abs=2e-3)

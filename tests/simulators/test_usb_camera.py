@@ -15,9 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simulators.clock import VirtualClock
-from simulators.ptp import PtpResponder
+from simulators.ptp import Answer, CameraFaults, PtpResponder
 from simulators.usb_backend import VirtualUsb
 from simulators.usb_camera import BULK_IN, EVENTS_IN, StillImageFunction
+from stage.errors import InputError
 from tests.bench import PlainWorld
 
 OPEN_SESSION = bytes.fromhex("10 00 00 00 01 00 02 10 00 00 00 00 01 00 00 00")
@@ -176,3 +177,136 @@ def test_device_reset_ends_the_session_and_what_was_under_way(plug: Plug) -> Non
         device.read(BULK_IN, 512)
     device.write(0x01, OPEN_SESSION)
     assert bytes(device.read(BULK_IN, 512)) == OPENED
+
+
+def test_asleep_it_drops_off_the_bus_and_comes_back_as_new(plug: Plug) -> None:
+    device = plug.find()
+    device.write(0x01, OPEN_SESSION)
+    plug.code(device)
+    device.write(0x01, SET_EXPOSURE)
+    plug.camera.board.strike("asleep")
+    for _ in range(2):
+        with pytest.raises(usb.core.USBError) as gone:
+            device.read(BULK_IN, 512)
+        assert gone.value.errno == errno.ENODEV
+    again = plug.find()
+    again.write(0x01, OPEN_SESSION)  # the session is over, and what was half sent is forgotten
+    assert bytes(again.read(BULK_IN, 512)) == OPENED
+
+
+def test_asleep_at_its_n_th_operation(plug: Plug) -> None:
+    plug.camera.board.strike_at(2, "asleep")
+    device = plug.find()
+    device.write(0x01, OPEN_SESSION)
+    plug.code(device)
+    device.write(0x01, CAPTURE)
+    with pytest.raises(usb.core.USBError):
+        device.read(BULK_IN, 512)
+    assert plug.camera.board.messages == 2
+
+
+def photograph(plug: Plug, size: int = 1500) -> tuple[Any, bytes]:
+    """A device with one file of a size on its card, and that file."""
+    file = bytes(i % 251 for i in range(size))
+    plug.world.expose = lambda exposure_s, iso=100: file  # type: ignore[method-assign]
+    device = plug.find()
+    device.write(0x01, OPEN_SESSION)
+    plug.code(device)
+    device.write(0x01, CAPTURE)
+    plug.code(device)
+    device.read(EVENTS_IN, 24, 1000)
+    return device, file
+
+
+def test_a_torn_download_ends_half_way_and_a_stalled_one_has_no_end(plug: Plug) -> None:
+    device, file = photograph(plug)
+    plug.camera.board.strike("torn-download")
+    plug.command(device, 0x1009, 3, 1)
+    assert bytes(device.read(BULK_IN, 4096))[12:] == file[:750]
+    assert plug.code(device) == 0x2001
+    plug.camera.board.strike("stalled-download")
+    plug.command(device, 0x1009, 4, 1)
+    assert bytes(device.read(BULK_IN, 512))[12:] == file[:500]  # whole packets only, so that nothing looks like an end
+    with pytest.raises(usb.core.USBTimeoutError):
+        device.read(BULK_IN, 4096, 1000)
+    device.ctrl_transfer(0x21, 0x66, 0, 0, None)
+    device.write(0x01, OPEN_SESSION)
+    assert bytes(device.read(BULK_IN, 512)) == OPENED
+
+
+def test_the_timing_of_a_real_camera(plug: Plug) -> None:
+    camera = PtpResponder(plug.world, readout_s=0.3, download_s=5.0, recovery_s=0.5)
+    plug.usb.unplug(plug.function)
+    plug.usb.plug_in(StillImageFunction(camera))
+    start = plug.clock.now()
+    device, file = photograph(plug)
+    assert plug.clock.now() - start == pytest.approx(0.02 + 0.3)
+    device.write(0x01, CAPTURE)
+    assert plug.code(device) == 0x2019  # it wants its rest
+    plug.command(device, 0x1009, 3, 1)
+    start = plug.clock.now()
+    assert bytes(device.read(BULK_IN, 4096, 10_000))[12:] == file
+    assert plug.clock.now() - start == pytest.approx(5.0)
+    assert plug.code(device) == 0x2001
+    device.write(0x01, CAPTURE)
+    assert plug.code(device) == 0x2001
+
+
+def test_a_slow_download_takes_six_seconds_more(plug: Plug) -> None:
+    device, _ = photograph(plug)
+    plug.camera.board.strike("slow-download")
+    plug.command(device, 0x1009, 3, 1)
+    start = plug.clock.now()
+    device.read(BULK_IN, 4096, 10_000)
+    assert plug.clock.now() - start == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("fault", ["repeated-frame", "wrong-exposure", "lost-picture"])
+def test_pictures_that_are_not_what_they_should_be(plug: Plug, fault: str) -> None:
+    plug.camera.operate(0x1002, (1,))
+    for _ in range(2):
+        plug.camera.operate(0x100E, ())
+        plug.clock.sleep(1)
+        plug.camera.board.strike(fault)
+    listed = plug.camera.operate(0x1007, ())
+    assert listed is not None
+    assert listed.data is not None
+    files = [plug.camera.operate(0x1009, (handle,)) for handle in range(1, 3)]
+    contents = [file.data for file in files if file is not None and file.data is not None]
+    match fault:
+        case "repeated-frame":
+            assert contents[0] == contents[1]
+        case "wrong-exposure":
+            assert [json.loads(data)["exposure_s"] for data in contents] == [0.02, 0.01]
+        case "lost-picture":
+            assert listed.data == struct.pack("<II", 1, 1)
+
+
+def test_events_that_are_not_sent(plug: Plug) -> None:
+    plug.camera.operate(0x1002, (1,))
+    for fault, code in (("missing-announcement", 0x400D), ("missing-completion", 0x4002)):
+        plug.camera.board.strike(fault)
+        plug.camera.operate(0x100E, ())
+        plug.clock.sleep(1)
+        event = plug.camera.take_event()
+        assert event is not None
+        assert event[0] == code
+        assert plug.camera.take_event() is None
+    assert plug.camera.operate(0x1006, ()).parameters == (2,)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(("fault", "answer"), [("busy", 0x2019), ("full", 0x200C), ("session-lost", 0x2003)])
+def test_releases_that_are_refused(plug: Plug, fault: str, answer: int) -> None:
+    plug.camera.operate(0x1002, (1,))
+    plug.camera.board.strike(fault, times=2)
+    assert [plug.camera.operate(0x100E, ()).code for _ in range(2)] == [answer, answer]  # type: ignore[union-attr]
+
+
+def test_silence_and_what_the_board_knows(plug: Plug) -> None:
+    plug.camera.board.strike("silent")
+    assert plug.camera.operate(0x1002, (1,)) is None
+    assert plug.camera.operate(0x1002, (1,)) == Answer(0x2001)
+    assert plug.camera.board.messages == 2
+    assert set(plug.camera.board.names) == {"asleep", *CameraFaults.NAMES}
+    with pytest.raises(InputError, match="fault: expected one of asleep, busy"):
+        plug.camera.board.strike("jammed")

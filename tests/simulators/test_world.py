@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from simulators.raw import blocks_to_rgb
 from simulators.scene import GLAZED, dish
+from simulators.view import Pinhole
 from simulators.world import RigWorld
 from stage.camera import Camera
 from stage.errors import InputError
@@ -25,14 +26,18 @@ def rig(**camera: Any) -> Rig:
     return Rig.model_validate(
         {
             "schema": "lightstage-rig/1",
-            "camera": {**place, "device": {"exposure_s": 0.05}, **camera},
+            "camera": {**place, "device": {"driver": "ptp-usb", "exposure_s": 0.05}, **camera},
             "motion": {
+                "driver": "dynamixel",
                 "port": "servos",
-                "radius_m": 0.7,
-                "pan": {"servo_id": 1, "limits_deg": [-170, 170]},
-                "tilt": {"servo_id": 2, "limits_deg": [0, 90], "zero_deg": 90, "direction": -1},
+                "kinematics": {"kind": "pan-tilt", "radius_m": 0.7},
+                "joints": [
+                    {"servo_id": 1, "limits_deg": [-170, 170]},
+                    {"servo_id": 2, "limits_deg": [0, 90], "zero_deg": 90, "direction": -1},
+                ],
             },
             "light": {
+                "driver": "enttec-dmx-usb-pro",
                 "port": "dmx",
                 "emitters": [{"channel": 3, "intensity": [1.5, 0, 0]}, {"channel": 9, "intensity": [0, 0, 1.5]}],
             },
@@ -45,8 +50,8 @@ RELIEF = dish(nodes=201)
 
 def world(seed: int = 1, clock: float = 0.0, pan_deg: float = 30.0, tilt_deg: float = 50.0) -> RigWorld:
     made = RigWorld(rig=rig(), seed=seed, clock=lambda: clock, relief=RELIEF)
-    made.attach_servo(1, lambda t: np.radians(180 + pan_deg))
-    made.attach_servo(2, lambda t: np.radians(90 - tilt_deg))
+    made.attach("servo 1", lambda t: np.radians(180 + pan_deg))
+    made.attach("servo 2", lambda t: np.radians(90 - tilt_deg))
     return made
 
 
@@ -92,7 +97,7 @@ def test_a_frame_is_the_noise_free_picture_within_its_noise() -> None:
 
 def test_the_lamp_is_taken_where_it_is_in_the_middle_of_the_exposure() -> None:
     moving, still = world(clock=5.0), world(pan_deg=20)
-    moving.attach_servo(1, lambda t: np.radians(180) + np.radians(20) * (t - 4.9))  # passes 20 degrees at 5.9 s
+    moving.attach("servo 1", lambda t: np.radians(180) + np.radians(20) * (t - 4.9))  # passes 20 degrees at 5.9 s
     for stage in (moving, still):
         stage.set_channels(levels(255, 255))
     assert moving.expose(1.8) == still.expose(1.8)
@@ -114,8 +119,8 @@ def test_noise_follows_the_seed_and_differs_from_frame_to_frame() -> None:
 
 def test_an_arm_without_its_servos_is_a_mistake_of_the_wiring() -> None:
     stage = RigWorld(rig=rig(), seed=1, relief=RELIEF)
-    stage.attach_servo(1, lambda t: 0.0)
-    with pytest.raises(RuntimeError, match=r"\[2\]"):
+    stage.attach("servo 1", lambda t: 0.0)
+    with pytest.raises(RuntimeError, match="servo 2 not attached"):
         stage.expose(0.05)
 
 
@@ -141,3 +146,41 @@ def test_truth_is_the_object_in_the_rig_cameras_pixels() -> None:
     glazed = truth.mask & (truth.material == GLAZED)
     assert truth.f0[glazed].mean() > truth.f0[truth.mask & ~glazed].mean()
     assert 0 < truth.albedo[truth.mask].min() < truth.albedo.max() < 1
+
+
+def test_of_another_scene_than_a_relief_there_is_no_truth() -> None:
+    class Grey:
+        def __init__(self, camera: Pinhole) -> None:
+            self.shape = (camera.height, camera.width, 3)
+
+        def render(self, position: Any, intensity: Any = (1.0, 1.0, 1.0)) -> NDArray[np.float64]:
+            return np.full(self.shape, float(np.sum(intensity)))
+
+        def render_sky(self, radiance: Any = (1.0, 1.0, 1.0)) -> NDArray[np.float64]:
+            return np.full(self.shape, float(np.sum(radiance)))
+
+    other = RigWorld(rig=dome_rig(), seed=1, former=Grey, stray_radiance=(0, 0, 0))
+    with pytest.raises(RuntimeError, match="relief"):
+        other.truth()
+
+
+def test_every_lit_light_of_a_dome_adds_its_own_picture() -> None:
+    dome = RigWorld(rig=dome_rig(), seed=1, relief=RELIEF, stray_radiance=(0, 0, 0))
+    dome.set_channels(bytes([255, 0, 51]))
+    left, right = np.array((0.3, 0, 0.6)), np.array((-0.3, 0.1, 0.6))
+    assert_allclose(dome.look(), dome.render(left, (1, 1, 1)) + dome.render(right, (0.4, 0.4, 0.4)), atol=1e-12)
+    dome.set_channels(b"")
+    assert not dome.look().any()
+    dome.set_channels(bytes([255]))
+    assert_allclose(dome.light(0.0)[0], left)
+
+
+def dome_rig() -> Rig:
+    """Two lights of a fixed dome on channels 1 and 3."""
+    description = rig().to_json()
+    description["motion"] = {"driver": "fixed-dome"}
+    description["light"]["emitters"] = [
+        {"channel": 1, "intensity": [1, 1, 1], "position_m": [0.3, 0, 0.6]},
+        {"channel": 3, "intensity": [2, 2, 2], "position_m": [-0.3, 0.1, 0.6]},
+    ]
+    return Rig.model_validate(description)

@@ -1,71 +1,49 @@
 """Dynamixel X-series servos as joints of the arm that carries the light.
 
-A move is checked before anything turns, started on all servos with one packet, and watched: position, goal as the
-servo understood it, and hardware error, until every joint stands within tolerance of its goal. Positions that are
-returned were read back. On trouble the joints hold where they are: torque stays on, because an arm without it falls.
+A move is checked before anything turns, started on all servos with one packet, and watched: what each servo understood,
+its position and its alert bit, until every joint stands within tolerance of its goal. Positions that are returned were
+read back. While joints move, the servos' bus watchdog is armed: where the bus falls silent, because this program was
+killed or the cable came out, they stop by themselves. On trouble the joints hold where they are, and torque stays on,
+because an arm without it falls; only a rig that says otherwise has it switched off by `make_safe`.
+
+References
+----------
+ROBOTIS e-Manual, "XL430-W250": "Bus Watchdog(98)", "Goal Position(116)".
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Final
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import NoReturn
 
-from drivers import dynamixel_bus as bus
+from drivers import dynamixel_table as table
+from drivers.dynamixel_bus import ALERTED, NoAnswerError, ServoBus
+from drivers.dynamixel_fitness import alarm, from_ticks, to_ticks, unfit
+from drivers.dynamixel_group import RESENDS, Order, ServoGroup, States
+from drivers.dynamixel_profile import profiles
+from drivers.dynamixel_table import RAD_PER_TICK
 from drivers.link import SerialLink
 from stage.clock import Clock, SystemClock
-from stage.devices import OpenedByWith
+from stage.devices import Arrival, OpenedByWith
 from stage.errors import DeviceError
-from stage.rig import SLACK_RAD, Joint, PanTiltArm
+from stage.rig import DynamixelMotion, ServoJoint
 
-RAD_PER_TICK: Final = 2 * math.pi / 4096
-RAD_S_PER_UNIT: Final = 0.229 * 2 * math.pi / 60
-RAD_S2_PER_UNIT: Final = 214.577 * 2 * math.pi / 3600
 POLL_S = 0.05
 STALL_S = 1.0
 """A joint that is short of its goal and has not moved for so long is stuck."""
 GRACE_S = 2.0
 """Beyond twice the time that the profile takes, a move may last so much longer."""
-RESENDS = 2
-"""How often a goal that a servo did not take is sent again."""
 
-MODELS: Final = {
-    1000: "XH430-W350",
-    1010: "XH430-W210",
-    1020: "XM430-W350",
-    1030: "XM430-W210",
-    1040: "XH430-V350",
-    1050: "XH430-V210",
-    1060: "XL430-W250",
-    1070: "XC430-W150",
-    1080: "XC430-W240",
-    1090: "2XL430-W250",
-    1100: "XH540-W270",
-    1110: "XH540-W150",
-    1120: "XM540-W270",
-    1130: "XM540-W150",
-}
-POSITION_MODES: Final = {3: "position", 4: "extended position"}
-TIME_BASED_PROFILE: Final = 0x04
-HARDWARE_ERRORS: Final = {
-    0x01: "input voltage out of range",
-    0x04: "overheating",
-    0x08: "encoder failure",
-    0x10: "electrical shock or too little power",
-    0x20: "overload",
-}
-STATE: Final = (
-    bus.TORQUE_ENABLE,
-    bus.HARDWARE_ERROR,
-    bus.GOAL_POSITION,
-    bus.MOVING,
-    bus.PRESENT_LOAD,
-    bus.PRESENT_POSITION,
-)
+
+class _CutShortError(DeviceError):
+    """The move was ended by `make_safe` from another thread, which has stopped the joints."""
 
 
 class DynamixelChain(OpenedByWith):
-    """Servos on one bus that start together: a `stage.devices.AxisGroup`.
+    """Servos on one bus that start together: a `stage.devices.AxisGroup`. Safe to use from several threads.
 
     Parameters
     ----------
@@ -73,12 +51,16 @@ class DynamixelChain(OpenedByWith):
         Serial port of the bus.
     baudrate : int
         Bits per second.
-    joints : sequence of Joint
+    joints : sequence of ServoJoint
         Ids, mounting, limits and profiles.
     settle_s : float
         Rest after a move before the positions are read.
     tolerance_rad : float
         How far from its goal a settled joint may stand.
+    coordinated : bool
+        Whether faster joints slow down, so that all arrive together; see `dynamixel_profile.profiles`.
+    torque_off_when_safe : bool
+        Whether `make_safe` lets the joints go: only where the arm cannot fall.
     clock : Clock
         Time and waiting.
     """
@@ -87,26 +69,42 @@ class DynamixelChain(OpenedByWith):
         self,
         port: str,
         baudrate: int,
-        joints: Sequence[Joint],
+        joints: Sequence[ServoJoint],
         *,
         settle_s: float = 0.1,
         tolerance_rad: float = math.radians(0.5),
+        coordinated: bool = False,
+        torque_off_when_safe: bool = False,
         clock: Clock | None = None,
     ) -> None:
-        self._link = SerialLink("servo bus", port, baudrate)
-        self._bus = bus.ServoBus(self._link)
+        self._clock = clock or SystemClock()
         self._joints = tuple(joints)
         self._ids = [joint.servo_id for joint in joints]
+        self._link = SerialLink("servo bus", port, baudrate)
+        self._bus = ServoBus(self._link)
+        self._servos = ServoGroup(self._bus, self._link, self._ids, self._clock)
+        self._time_based = [False] * len(self._joints)
         self._settle_s = settle_s
         self._tolerance = max(1, round(tolerance_rad / RAD_PER_TICK))
-        self._clock = clock or SystemClock()
-        self._in_use = False
+        self._coordinated, self._torque_off_when_safe = coordinated, torque_off_when_safe
+        self._in_use = self._prepared = False
+        self._lock = threading.RLock()  # held for one step of a move at a time, so that `make_safe` can come between
+        self._one_move = threading.Lock()
+        self._stops = 0
 
     @classmethod
-    def from_rig(cls, arm: PanTiltArm, clock: Clock | None = None) -> DynamixelChain:
-        """The pan and tilt servos of a rig description."""
-        tolerance = math.radians(arm.tolerance_deg)
-        return cls(arm.port, arm.baudrate, arm.joints, settle_s=arm.settle_s, tolerance_rad=tolerance, clock=clock)
+    def from_rig(cls, motion: DynamixelMotion, clock: Clock | None = None) -> DynamixelChain:
+        """The servos of a rig description."""
+        return cls(
+            motion.port,
+            motion.baudrate,
+            motion.joints,
+            settle_s=motion.settle_s,
+            tolerance_rad=math.radians(motion.tolerance_deg),
+            coordinated=motion.coordinated,
+            torque_off_when_safe=motion.torque_off_when_safe,
+            clock=clock,
+        )
 
     @property
     def name(self) -> str:
@@ -114,245 +112,240 @@ class DynamixelChain(OpenedByWith):
         return self._link.name
 
     @property
-    def limits_rad(self) -> tuple[tuple[float, float], ...]:
+    def limits(self) -> tuple[tuple[float, float], ...]:
         """Least and greatest angle per joint."""
-        return tuple(joint.limits_rad for joint in self._joints)
+        return tuple(joint.limits for joint in self._joints)
+
+    @property
+    def watchdog_s(self) -> float:
+        """Silence of the bus after which moving joints stop by themselves."""
+        return self._servos.watchdog_s
 
     def open(self) -> None:
-        """Find every servo, check that it is fit to be moved, set its profile and switch its torque on."""
-        if self._in_use and self._link.is_open:
-            return
-        self._bus.open()
-        try:
-            for joint in self._joints:
-                self._prepare(joint)
-            for servo in self._ids:
-                self._bus.write(servo, bus.TORQUE_ENABLE, 1)
-                if self._bus.read(servo, bus.TORQUE_ENABLE) != 1:
-                    raise self._link.failed(f"servo {servo} does not switch its torque on", "power-cycle the servo")
-        except BaseException:
-            self._bus.close()
-            raise
-        self._in_use = True
+        """Find every servo, check that it is fit to be moved, and switch its torque on."""
+        with self._lock:
+            if self._in_use and self._link.is_open:
+                return
+            self._bus.open()
+            try:
+                self._prepare()
+            except BaseException:
+                self._bus.close()
+                raise
+            self._in_use = True
 
     def close(self) -> None:
         """Let go of the port. The servos keep their torque and hold the arm up."""
-        self._in_use = False
-        self._bus.close()
+        with self._lock:
+            self._in_use = self._prepared = False
+            self._bus.close()
 
     def make_safe(self) -> None:
-        """Stop where the joints are and hold; never switches torque off, for the arm could fall."""
+        """Stop where the joints are and hold, also in the middle of another thread's `move_to`, which then fails.
+
+        Lets the joints go only where the rig says that the arm cannot fall. Servos that do not answer keep nobody from
+        stopping the others.
+        """
         if not self._in_use:
             return
-        self._reconnect()
-        self._hold()
-        deadline = self._clock.now() + GRACE_S
-        while any(state["Moving"] for state in self._states().values()):
-            if self._clock.now() > deadline:
-                raise self._link.failed("the joints do not come to rest", "switch the servo power off")
-            self._clock.sleep(POLL_S)
+        self._stops += 1
+        with self._lock:
+            self._bus.open()
+            self._servos.hold()
+            deadline = self._clock.now() + GRACE_S
+            while any(state[table.MOVING.name] for state in self._servos.look(table.PROGRESS).values()):
+                if self._clock.now() > deadline:
+                    raise self._link.failed("the joints do not come to rest", "switch the servo power off")
+                self._clock.sleep(POLL_S)
+            self._servos.disarm_watchdog()
+            if self._torque_off_when_safe:
+                self._prepared = False
+                self._servos.set_all(table.TORQUE_ENABLE, 0)
 
-    def positions_rad(self) -> tuple[float, ...]:
+    def positions(self) -> tuple[float, ...]:
         """Where the joints are now, as their encoders say."""
-        self._reconnect()
-        states = self._states()
-        return tuple(self._joint_rad(joint, states[joint.servo_id]["Present Position"]) for joint in self._joints)
+        with self._lock:
+            if self._in_use:
+                self._bus.open()
+            return self._angles(self._servos.look(table.PROGRESS))
 
-    def move_to(self, targets_rad: Sequence[float]) -> tuple[float, ...]:
-        """See `stage.devices.AxisGroup.move_to`; a joint settles to the nearest of 4096 encoder steps per turn."""
-        goals = self._goals(targets_rad)
-        self._reconnect()
-        states = self._healthy_states()
-        start = [self._joint_rad(joint, states[joint.servo_id]["Present Position"]) for joint in self._joints]
-        moves = zip(self._joints, targets_rad, start, strict=True)
-        expected_s = max(joint.travel_s(target - here) for joint, target, here in moves)
+    def move_to(self, targets: Sequence[float]) -> Arrival:
+        """See `stage.devices.AxisGroup.move_to`; a joint settles to the nearest of 4096 encoder steps per turn.
+
+        Where another thread has a move under way, this one begins after it.
+        """
+        goals = self._goals(targets)
+        ticket = self._stops  # a move that waits while the joints are made safe does not begin at all
+        with self._one_move:
+            return self._move(goals, ticket)
+
+    def _move(self, goals: dict[int, int], ticket: int) -> Arrival:
+        begun = self._clock.now()
+        with self._step(ticket):
+            self._ready()
+            orders, expected_s = self._orders(goals)
         try:
-            self._bus.write_all(bus.GOAL_POSITION, goals)
-            self._watch(goals, self._clock.now() + 2 * expected_s + GRACE_S)
+            with self._step(ticket):
+                self._servos.start(orders)
+            self._watch(orders, begun + 2 * expected_s + GRACE_S, ticket)
+            with self._step(ticket):
+                self._servos.disarm_watchdog()
+            arrived = self._clock.now()
             self._clock.sleep(self._settle_s)
-            states = self._healthy_states()
-            for servo in self._astray(goals, states):
-                raise self._stuck(servo, goals[servo], states[servo], "drifted off after settling")
-        except DeviceError as error:
-            try:
-                self._hold()
-            except DeviceError as unsafe:
-                error.add_note(f"and the joints could not be told to hold: {unsafe}")
+            with self._step(ticket):
+                states = self._healthy_states()
+            for servo in self._astray(orders, states):
+                raise self._stuck(servo, orders[servo], states[servo], "drifted off after settling")
+        except _CutShortError:
             raise
-        return tuple(self._joint_rad(joint, states[joint.servo_id]["Present Position"]) for joint in self._joints)
+        except DeviceError as error:
+            self._stop_after(error)
+            raise
+        return Arrival(self._angles(states), move_s=arrived - begun, settle_s=self._clock.now() - arrived)
 
-    def _reconnect(self) -> None:
-        if self._in_use and not self._link.is_open:
-            self.open()
+    @contextmanager
+    def _step(self, ticket: int) -> Iterator[None]:
+        """Have the bus to oneself for a step of a move, unless the move was ended by `make_safe`."""
+        with self._lock:
+            if self._stops != ticket:
+                raise _CutShortError(
+                    f"{self.name}: the move was cut short to make the joints safe; move again when it is"
+                )
+            yield
 
-    def _prepare(self, joint: Joint) -> None:
-        servo, read = joint.servo_id, self._bus.read
-        model = self._bus.ping(servo)
-        if model not in MODELS:
-            raise self._link.failed(f"servo {servo} says it is model {model}", "use an X-series servo with 4096 steps")
-        who = f"servo {servo} ({MODELS[model]})"
+    def _ready(self) -> None:
+        if self._in_use and not (self._prepared and self._link.is_open):
+            self._bus.open()
+            self._prepare()
+
+    def _prepare(self) -> None:
+        self._prepared = False
+        models = [self._model(servo) for servo in self._ids]
+        setups = self._bus.read_all(self._ids, table.SETUP)
+        states = self._servos.look(table.CONDITION)
+        for joint, model in zip(self._joints, models, strict=True):
+            servo = joint.servo_id
+            if reason := unfit(joint, model, setups[servo], states[servo], self._tolerance):
+                what, advice = reason
+                raise self._link.failed(what, advice)
+        self._time_based = [
+            bool(setups[servo][table.DRIVE_MODE.name] & table.TIME_BASED_PROFILE) for servo in self._ids
+        ]
+        self._servos.try_watchdog()
+        self._servos.set_all(table.TORQUE_ENABLE, 1)
+        self._prepared = True
+
+    def _model(self, servo: int) -> int:
+        try:
+            model = self._bus.ping(servo)
+        except NoAnswerError as error:
+            # of one that was there before it is no help to know what else there is
+            found = "" if self._in_use else self._bus.elsewhere(servo)
+            if found:
+                raise DeviceError(f"{error}: {found}") from None
+            raise
+        if self._bus.more_comes():
+            raise self._link.failed(
+                f"servo {servo} answers twice: two servos have this id", "disconnect one and give the other a new id"
+            )
         self._bus.let_answer(servo)
-        self._raise_hardware_error(servo, read(servo, bus.HARDWARE_ERROR))
-        mode = read(servo, bus.OPERATING_MODE)
-        if mode not in POSITION_MODES:
-            raise DeviceError(
-                f"{self.name}: {who} is in operating mode {mode}, not in a position mode; "
-                "set Operating Mode(11) to 3 or 4 with the vendor's tool"
-            )
-        if read(servo, bus.DRIVE_MODE) & TIME_BASED_PROFILE:
-            raise DeviceError(
-                f"{self.name}: {who} has a time-based profile; clear bit 2 of Drive Mode(10) with the vendor's tool"
-            )
-        self._check_travel(joint, who, mode)
-        speed = max(1, round(math.radians(joint.speed_deg_s) / RAD_S_PER_UNIT))
-        fastest = read(servo, bus.VELOCITY_LIMIT)
-        if speed > fastest:
-            allowed = math.degrees(fastest * RAD_S_PER_UNIT)
-            raise DeviceError(
-                f"{self.name}: {who} turns no faster than {allowed:.1f} degrees/s (Velocity Limit), and the rig asks "
-                f"for {joint.speed_deg_s:g}; lower speed_deg_s"
-            )
-        acceleration = max(1, round(math.radians(joint.acceleration_deg_s2) / RAD_S2_PER_UNIT))
-        for register, value in ((bus.PROFILE_ACCELERATION, acceleration), (bus.PROFILE_VELOCITY, speed)):
-            self._bus.write(servo, register, value)
-            if read(servo, register) != value:
-                raise self._link.failed(f"{who} did not take {register.name} {value}", "power-cycle the servo")
+        return model
 
-    def _check_travel(self, joint: Joint, who: str, mode: int) -> None:
-        servo, low, high = joint.servo_id, *joint.limits_deg
-        ends = sorted(self._ticks(joint, angle) for angle in joint.limits_rad)
-        least, most = (-(2**20) + 1, 2**20 - 1)
-        if mode == 3:
-            least, most = (self._bus.read(servo, r) for r in (bus.MIN_POSITION_LIMIT, bus.MAX_POSITION_LIMIT))
-        if not least <= ends[0] <= ends[1] <= most:
-            raise DeviceError(
-                f"{self.name}: {who} may turn from {least} to {most} steps, and its limits of {low:g} to {high:g} "
-                f"degrees need {ends[0]} to {ends[1]}; correct limits_deg or zero_deg, or the servo's position limits"
-            )
-        here = self._bus.read(servo, bus.PRESENT_POSITION)
-        if not ends[0] - self._tolerance <= here <= ends[1] + self._tolerance:
-            angle = math.degrees(self._joint_rad(joint, here))
-            raise DeviceError(
-                f"{self.name}: {who} stands at {angle:.1f} degrees, outside its limits of {low:g} to {high:g}; "
-                "switch the servo power off and turn the joint back by hand"
-            )
-
-    def _goals(self, targets_rad: Sequence[float]) -> dict[int, int]:
-        if len(targets_rad) != len(self._joints):
-            raise DeviceError(f"{self.name}: expected {len(self._joints)} joint angles, got {len(targets_rad)}")
+    def _goals(self, targets: Sequence[float]) -> dict[int, int]:
+        if len(targets) != len(self._joints):
+            raise DeviceError(f"{self.name}: expected {len(self._joints)} joint angles, got {len(targets)}")
         goals: dict[int, int] = {}
-        for joint, target in zip(self._joints, targets_rad, strict=True):
-            low, high = joint.limits_rad
-            if not low - SLACK_RAD <= target <= high + SLACK_RAD:  # refuses NaN too
+        for joint, target in zip(self._joints, targets, strict=True):
+            if joint.within(target) is None:  # refuses NaN too
                 raise DeviceError(
                     f"{self.name}: servo {joint.servo_id} was asked for {math.degrees(target):.2f} degrees, beyond its "
                     f"limits of {joint.limits_deg[0]:g} to {joint.limits_deg[1]:g}; nothing was moved"
                 )
-            goals[joint.servo_id] = self._ticks(joint, target)
+            goals[joint.servo_id] = to_ticks(joint, target)
         return goals
 
-    def _watch(self, goals: dict[int, int], deadline: float) -> None:
-        resends = 0
+    def _orders(self, goals: dict[int, int]) -> tuple[dict[int, Order], float]:
+        states = self._healthy_states()
+        ways = [(goals[s] - states[s][table.PRESENT_POSITION.name]) * RAD_PER_TICK for s in self._ids]
+        chosen = profiles(self._joints, ways, self._time_based, coordinated=self._coordinated)
+        for servo, profile in zip(self._ids, chosen, strict=True):
+            if math.isinf(profile.duration_s):
+                raise DeviceError(
+                    f"{self.name}: servo {servo} has a time-based profile, and the move would take longer than the "
+                    f"{table.LONGEST_PROFILE_MS / 1000:g} s that it can count; raise speed_deg_s, or clear bit 2 of "
+                    "Drive Mode(10)"
+                )
+        orders = {s: (p.acceleration, p.velocity, goals[s]) for s, p in zip(self._ids, chosen, strict=True)}
+        return orders, max(profile.duration_s for profile in chosen)
+
+    def _watch(self, orders: dict[int, Order], deadline: float, ticket: int) -> None:
+        restarts = 0
         seen: dict[int, tuple[int, float]] = {}  # servo: position, and when it was last seen to change
         while True:
             self._clock.sleep(POLL_S)
-            states, now = self._healthy_states(), self._clock.now()
-            deaf = [servo for servo in goals if states[servo]["Goal Position"] != goals[servo]]
-            if deaf:
-                if resends == RESENDS:
-                    raise self._link.failed(f"servos {deaf} do not take their goal", "check cable and torque")
-                resends += 1
-                self._bus.write_all(bus.GOAL_POSITION, goals)
-                continue
-            astray = self._astray(goals, states)
-            if not astray and not any(state["Moving"] for state in states.values()):
+            with self._step(ticket):
+                states, now = self._servos.look(table.PROGRESS), self._clock.now()
+                untaken = self._servos.untaken(orders, states)
+                if untaken or any(state[ALERTED] for state in states.values()):
+                    self._healthy_states()
+                if untaken:
+                    if restarts == RESENDS:
+                        raise self._link.failed(f"servos {untaken} forget their orders", "check cable and torque")
+                    restarts += 1
+                    self._servos.start(orders)
+                    continue
+            astray = self._astray(orders, states)
+            if not astray and not any(state[table.MOVING.name] for state in states.values()):
                 return
             for servo in astray:
-                here = states[servo]["Present Position"]
+                here = states[servo][table.PRESENT_POSITION.name]
                 if servo not in seen or seen[servo][0] != here:
                     seen[servo] = (here, now)
                 elif now - seen[servo][1] > STALL_S:
-                    raise self._stuck(servo, goals[servo], states[servo], f"has not moved for {STALL_S:g} s")
+                    raise self._stuck(servo, orders[servo], states[servo], f"has not moved for {STALL_S:g} s")
             if now > deadline:
-                servo = next(iter(astray or goals))
-                raise self._stuck(servo, goals[servo], states[servo], "did not arrive in time")
+                servo = next(iter(astray or orders))
+                raise self._stuck(servo, orders[servo], states[servo], "did not arrive in time")
 
-    def _astray(self, goals: dict[int, int], states: dict[int, dict[str, int]]) -> list[int]:
-        return [s for s in goals if abs(states[s]["Present Position"] - goals[s]) > self._tolerance]
+    def _astray(self, orders: dict[int, Order], states: States) -> list[int]:
+        return [
+            servo
+            for servo, (_, _, goal) in orders.items()
+            if abs(states[servo][table.PRESENT_POSITION.name] - goal) > self._tolerance
+        ]
 
-    def _stuck(self, servo: int, goal: int, state: dict[str, int], what: str) -> DeviceError:
-        short = math.degrees((goal - state["Present Position"]) * RAD_PER_TICK)
+    def _stuck(self, servo: int, order: Order, state: dict[str, int], what: str) -> DeviceError:
+        short = math.degrees((order[-1] - state[table.PRESENT_POSITION.name]) * RAD_PER_TICK)
+        load = state[table.PRESENT_LOAD.name] / 10
         return self._link.failed(
-            f"servo {servo} {what}, {short:.2f} degrees short of its goal, load {state['Present Load'] / 10:g} %",
+            f"servo {servo} {what}, {short:.2f} degrees short of its goal, load {load:g} %",
             "free the arm, and check its weight and the limits",
         )
 
-    def _raise_hardware_error(self, servo: int, status: int) -> None:
-        if status:
-            causes = [name for bit, name in HARDWARE_ERRORS.items() if status & bit] or ["unknown"]
-            raise self._link.failed(
-                f"servo {servo} reports {' and '.join(causes)} (Hardware Error Status 0x{status:02X})",
-                "remove the cause, then power-cycle the servo",
-            )
-
-    def _hold(self) -> None:
-        states = self._states()
-        self._bus.write_all(bus.GOAL_POSITION, {servo: states[servo]["Present Position"] for servo in self._ids})
-
-    def _healthy_states(self) -> dict[int, dict[str, int]]:
-        states = self._states()
+    def _healthy_states(self) -> States:
+        states = self._servos.look(table.CONDITION)
         for servo, state in states.items():
-            self._raise_hardware_error(servo, state["Hardware Error Status"])
-            if not state["Torque Enable"]:
-                raise self._link.failed(
-                    f"servo {servo} has lost its torque", "check the power supply, then close and open the device again"
+            if alarmed := alarm(servo, state):
+                self._unprepared(alarmed, "remove the cause, then power-cycle the servo")
+            if not state[table.TORQUE_ENABLE.name]:
+                self._unprepared(
+                    f"servo {servo} has lost its torque, as after a brown-out",
+                    "check the power supply and how the arm hangs, then try again",
                 )
         return states
 
-    def _states(self) -> dict[int, dict[str, int]]:
-        return self._bus.read_all(self._ids, STATE)
+    def _unprepared(self, what: str, advice: str) -> NoReturn:
+        self._prepared = False  # the next move finds out whether the servos are fit again
+        raise self._link.failed(what, advice)
 
-    @staticmethod
-    def _ticks(joint: Joint, angle_rad: float) -> int:
-        return round(joint.servo_rad(angle_rad) / RAD_PER_TICK)
+    def _stop_after(self, error: DeviceError) -> None:
+        self._prepared = False
+        try:
+            with self._lock:
+                self._servos.hold()
+                self._servos.disarm_watchdog()
+        except DeviceError as unsafe:
+            error.add_note(f"and not every joint could be told to hold: {unsafe}")
 
-    @staticmethod
-    def _joint_rad(joint: Joint, ticks: int) -> float:
-        return joint.joint_rad(ticks * RAD_PER_TICK)
-
-
-class DynamixelAxis(OpenedByWith):
-    """One servo alone on its bus, such as a turntable: a `stage.devices.Axis`."""
-
-    def __init__(self, port: str, baudrate: int, joint: Joint, *, clock: Clock | None = None) -> None:
-        self._chain = DynamixelChain(port, baudrate, (joint,), clock=clock)
-
-    @property
-    def name(self) -> str:
-        """Device and port."""
-        return self._chain.name
-
-    @property
-    def limits_rad(self) -> tuple[float, float]:
-        """Least and greatest angle."""
-        return self._chain.limits_rad[0]
-
-    def open(self) -> None:
-        """See `DynamixelChain.open`."""
-        self._chain.open()
-
-    def close(self) -> None:
-        """See `DynamixelChain.close`."""
-        self._chain.close()
-
-    def make_safe(self) -> None:
-        """See `DynamixelChain.make_safe`."""
-        self._chain.make_safe()
-
-    def position_rad(self) -> float:
-        """Where the joint is now."""
-        return self._chain.positions_rad()[0]
-
-    def move_to(self, target_rad: float) -> float:
-        """See `stage.devices.Axis.move_to`."""
-        return self._chain.move_to((target_rad,))[0]
+    def _angles(self, states: States) -> tuple[float, ...]:
+        return tuple(from_ticks(joint, states[joint.servo_id][table.PRESENT_POSITION.name]) for joint in self._joints)

@@ -7,6 +7,7 @@ last exchange, and says what to do next. Waiting here is waiting for the wire, s
 from __future__ import annotations
 
 import errno
+import fcntl
 import termios
 from collections import deque
 from collections.abc import Callable
@@ -67,9 +68,7 @@ class SerialLink:
         if self._serial is not None:
             return
         try:
-            self._serial = serial.Serial(
-                self.port, self.baudrate, timeout=POLL_S, write_timeout=WRITE_TIMEOUT_S, exclusive=True
-            )
+            self._serial = self._taken()
         except (*_PortError, ValueError) as error:
             number = getattr(error, "errno", None) or 0
             advice = _ADVICE.get(number, f"{error}; check that the path is a serial port")
@@ -81,7 +80,17 @@ class SerialLink:
         port, self._serial = self._serial, None
         if port is not None:
             with suppress(*_PortError):  # a port that is gone already is what was wanted
+                fcntl.ioctl(port.fileno(), termios.TIOCNXCL)
+            with suppress(*_PortError):
                 port.close()
+
+    def retune(self, baudrate: int) -> bool:
+        """Send and listen at another rate until closed; False where the port does not offer that rate."""
+        try:
+            self._guard(lambda port: setattr(port, "baudrate", baudrate))
+        except (ValueError, NotImplementedError):
+            return False
+        return True
 
     def write(self, data: bytes) -> None:
         """Send all of `data`."""
@@ -119,6 +128,19 @@ class SerialLink:
                 break
             received = data + received
         return f"sent {_hex(sent)}, received {_hex(received)}"
+
+    def _taken(self) -> serial.Serial:
+        # flock keeps out programs that lock as well, TIOCEXCL those that do not, such as the vendor's tools
+        port = serial.Serial(self.port, self.baudrate, timeout=POLL_S, write_timeout=WRITE_TIMEOUT_S, exclusive=True)
+        try:
+            fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
+        except _PortError:
+            port.close()
+            raise
+        # FTDI adapters hold bytes back for 16 ms unless told not to; other ports have no such setting
+        with suppress(ValueError, NotImplementedError, *_PortError):
+            port.set_low_latency_mode(True)
+        return port
 
     def _guard(self, act: Callable[[serial.Serial], T]) -> T:
         if self._serial is None:

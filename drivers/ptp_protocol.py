@@ -48,18 +48,20 @@ class Event(IntEnum):
 
 
 OK = 0x2001
-SESSION_ALREADY_OPEN = 0x201E
+SESSION_NOT_OPEN = 0x2003
+STORE_FULL = 0x200C
 DEVICE_BUSY = 0x2019
+SESSION_ALREADY_OPEN = 0x201E
 RESPONSES = {
     0x2002: "general error",
-    0x2003: "session not open",
+    SESSION_NOT_OPEN: "session not open",
     0x2005: "operation not supported",
     0x2006: "parameter not supported",
     0x2007: "incomplete transfer",
     0x2009: "invalid object handle",
     0x200A: "property not supported",
     0x200B: "invalid object format",
-    0x200C: "card full",
+    STORE_FULL: "card full",
     0x200D: "object is write-protected",
     0x200F: "access denied",
     0x2013: "no card",

@@ -9,18 +9,31 @@ import pytest
 
 from drivers.dynamixel import DynamixelChain
 from drivers.enttec import EnttecLamp
-from drivers.ptp_usb import PtpUsbCamera
+from drivers.ptp_camera import PtpCamera
+from simulators.clock import VirtualClock
+from simulators.dmx import DmxWidget
+from simulators.ports import PtyPort
+from simulators.ptp import PtpResponder
+from simulators.servo_bus import ServoBus
 from simulators.stage_sim import SimulatedStage
-from tests.bench import AppointmentClock, PlainWorld, make_rig
+from tests.bench import PlainWorld, make_rig
 
 
 class Bench(SimulatedStage):
     """A simulated stage, its world and clock, and fresh drivers for it."""
 
     def __init__(self) -> None:
-        self.clock = AppointmentClock()
+        self.clock = VirtualClock()
         self.world = PlainWorld(self.clock)
         super().__init__(self.world, make_rig(), self.clock)
+
+        self.bus: ServoBus = self.parts["motion"].device
+        self.servos = tuple(self.bus.servos)
+        self.motion_port: PtyPort = self.parts["motion"].plug
+        self.widget: DmxWidget = self.parts["light"].device
+        self.light_port: PtyPort = self.parts["light"].plug
+        self.camera: PtpResponder = self.parts["camera"].device
+        self.camera_plug = self.parts["camera"].plug
 
     def arm(self) -> DynamixelChain:
         return DynamixelChain.from_rig(self.rig.motion, self.clock)
@@ -28,8 +41,8 @@ class Bench(SimulatedStage):
     def lamp(self) -> EnttecLamp:
         return EnttecLamp(self.rig.light, clock=self.clock)
 
-    def photographer(self) -> PtpUsbCamera:
-        return PtpUsbCamera(self.rig.camera.device, clock=self.clock, backend=self.usb)
+    def photographer(self) -> PtpCamera:
+        return PtpCamera.over_usb(self.rig.camera.device, clock=self.clock, backend=self.usb)
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""PTP transactions over a USB still-image interface, by plain pyusb.
+"""PTP over a USB still-image interface, by plain pyusb.
 
 References
 ----------
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import math
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TypeVar
@@ -16,15 +17,14 @@ from typing import Any, TypeVar
 import usb.core
 import usb.util
 
+from drivers.ptp_pipe import ANSWER_TIMEOUT_S, TRANSFER_TIMEOUT_S, PtpPipe, Reply
 from drivers.ptp_protocol import (
     COMMAND,
     DATA,
     HEADER,
-    OK,
     RESPONSE,
     Operation,
     container,
-    describe,
     parameters,
     read_parameters,
 )
@@ -37,7 +37,6 @@ DEVICE_RESET = 0x66
 CLASS_OUT_TO_INTERFACE = 0x21
 CHUNK = 1 << 19
 """Bytes per bulk read of a long transfer; a multiple of every packet size."""
-TIMEOUT_S = 5.0
 EVENT_BYTES = 64
 
 _ADVICE = {
@@ -49,34 +48,50 @@ _ADVICE = {
 }
 
 
-class PtpRefusedError(DeviceError):
-    """The camera answered an operation with anything but OK."""
+def find_camera(name: str, backend: Any, vendor_id: int | None, product_id: int | None, serial: str | None) -> Any:
+    """The one USB device with a still-image interface.
 
-    def __init__(self, message: str, response: int) -> None:
-        super().__init__(message)
-        self.response = response
+    Parameters
+    ----------
+    name : str
+        What errors call it.
+    backend : usb.backend.IBackend or None
+        Where pyusb finds devices; the system's libusb where None.
+    vendor_id, product_id, serial
+        What it must have; None takes any.
 
-
-class TruncatedTransferError(DeviceError):
-    """The camera sent less than it announced; the transaction is over and another can begin."""
-
-
-def find_cameras(backend: Any, **wanted: int) -> list[Any]:
-    """USB devices with a still-image interface; `wanted` may give `idVendor` and `idProduct`."""
-
-    def is_camera(device: Any) -> bool:
-        return any(_is_still_image(interface) for configuration in device for interface in configuration)
-
+    Raises
+    ------
+    DeviceError
+        Where there is none, or more than one.
+    """
+    wanted = {"idVendor": vendor_id, "idProduct": product_id}
     try:
-        return list(usb.core.find(find_all=True, backend=backend, custom_match=is_camera, **wanted))
+        found = list(
+            usb.core.find(
+                find_all=True,
+                backend=backend,
+                custom_match=lambda device: any(_is_still_image(i) for configuration in device for i in configuration),
+                **{key: value for key, value in wanted.items() if value is not None},
+            )
+        )
     except usb.core.NoBackendError as error:
-        raise DeviceError("camera over USB: libusb is missing; install the package libusb-1.0-0") from error
+        raise DeviceError(f"{name}: libusb is missing; install the package libusb-1.0-0") from error
     except usb.core.USBError as error:
-        raise DeviceError(f"camera over USB: cannot look for cameras: {error}; check cable and permissions") from error
+        raise DeviceError(f"{name}: cannot look for cameras: {error}; check cable and permissions") from error
+    if serial is not None:
+        found = [device for device in found if _serial_number(device) == serial]
+    if not found:
+        raise DeviceError(
+            f"{name}: none found; connect it, switch it on, and check that it is set to PTP or PC control"
+        )
+    if len(found) > 1:
+        which = ", ".join(f"{device.idVendor:04x}:{device.idProduct:04x}" for device in found)
+        raise DeviceError(f"{name}: {len(found)} found ({which}); give ids or serial in the rig's camera")
+    return found[0]
 
 
-def serial_number(device: Any) -> str | None:
-    """Serial number of a USB device, or None where it cannot be asked."""
+def _serial_number(device: Any) -> str | None:
     try:
         return str(device.serial_number)
     except (usb.core.USBError, ValueError):
@@ -87,7 +102,7 @@ def _is_still_image(interface: Any) -> bool:
     return (interface.bInterfaceClass, interface.bInterfaceSubClass, interface.bInterfaceProtocol) == STILL_IMAGE
 
 
-class PtpPipe:
+class PtpUsbPipe(PtpPipe):
     """One camera's still-image interface: commands out, data and responses in, events on the side.
 
     Parameters
@@ -96,13 +111,14 @@ class PtpPipe:
         As found by `find_cameras`.
     name : str
         What errors call it.
+    answer_timeout_s : float
+        Longest silence in the middle of a transaction.
     """
 
-    def __init__(self, device: Any, name: str) -> None:
-        self.name = name
+    def __init__(self, device: Any, name: str, answer_timeout_s: float = ANSWER_TIMEOUT_S) -> None:
+        super().__init__(name, answer_timeout_s)
         self._device = device
         self._interface: Any = None
-        self._transaction = 0
 
     def open(self) -> None:
         """Claim the interface for this program alone."""
@@ -115,62 +131,11 @@ class PtpPipe:
 
     def reset(self) -> None:
         """Abandon whatever transaction the camera may still be in."""
-        number = self._interface.bInterfaceNumber
+        number, timeout_ms = self._interface.bInterfaceNumber, _ms(self._answer_timeout_s)
         self._guard(
             "a device reset",
-            lambda: self._device.ctrl_transfer(CLASS_OUT_TO_INTERFACE, DEVICE_RESET, 0, number, None, _ms(TIMEOUT_S)),
+            lambda: self._device.ctrl_transfer(CLASS_OUT_TO_INTERFACE, DEVICE_RESET, 0, number, None, timeout_ms),
         )
-
-    def transact(self, operation: Operation, *values: int, data: bytes | None = None) -> tuple[tuple[int, ...], bytes]:
-        """Carry out one operation.
-
-        Parameters
-        ----------
-        operation : Operation
-            What to do.
-        *values : int
-            Its parameters.
-        data : bytes, optional
-            What to send with it.
-
-        Returns
-        -------
-        parameters : tuple of int
-            Of the response.
-        data : bytes
-            What the camera sent; empty where the operation has none.
-
-        Raises
-        ------
-        PtpRefusedError
-            Where the camera answers anything but OK; it names the operation and the response.
-        TruncatedTransferError
-            Where less arrived than was announced.
-        DeviceError
-            Where the transfer itself fails.
-        """
-        # a session is opened by number 0, and counts up from there
-        number = self._transaction = 0 if operation is Operation.OPEN_SESSION else self._transaction + 1
-        self._send(operation, container(COMMAND, operation, number, parameters(*values)))
-        if data is not None:
-            self._send(operation, container(DATA, operation, number, data))
-        received, complete = b"", True
-        kind, code, answered, payload, whole = self._receive(operation)
-        if kind == DATA:
-            received, complete = payload, whole
-            kind, code, answered, payload, _ = self._receive(operation)
-        if kind != RESPONSE or answered != number:
-            raise DeviceError(
-                f"{self.name}: {operation.name} of transaction {number} was answered by container type {kind} of "
-                f"transaction {answered}; try again"
-            )
-        if code != OK:
-            raise PtpRefusedError(
-                f"{self.name}: {operation.name} {[hex(v) for v in values]} was refused: {describe(code)}", code
-            )
-        if not complete:
-            raise TruncatedTransferError(f"{self.name}: {operation.name} ended after {len(received)} bytes")
-        return read_parameters(payload), received
 
     def event(self, timeout_s: float) -> tuple[int, tuple[int, ...]] | None:
         """Code and parameters of the next event, or None where none comes in time."""
@@ -185,6 +150,19 @@ class PtpPipe:
             return None
         _, _, code, _ = HEADER.unpack_from(raw)
         return code, read_parameters(raw[HEADER.size :])
+
+    def _carry(self, operation: Operation, number: int, values: tuple[int, ...], data: bytes | None) -> Reply:
+        self._send(operation, container(COMMAND, operation, number, parameters(*values)))
+        if data is not None:
+            self._send(operation, container(DATA, operation, number, data))
+        received, complete = b"", True
+        kind, code, answered, payload, whole = self._receive(operation)
+        if kind == DATA:
+            received, complete = payload, whole
+            kind, code, answered, payload, _ = self._receive(operation)
+        if kind != RESPONSE:
+            raise DeviceError(f"{self.name}: {operation.name} was answered by container type {kind}; try again")
+        return Reply(code, answered, read_parameters(payload), received, complete)
 
     def _claim(self) -> None:
         try:
@@ -210,16 +188,19 @@ class PtpPipe:
 
     def _send(self, operation: Operation, packed: bytes) -> None:
         endpoint = self._endpoint(usb.util.ENDPOINT_OUT, usb.util.ENDPOINT_TYPE_BULK)
-        self._guard(f"sending {operation.name}", lambda: endpoint.write(packed, _ms(TIMEOUT_S)))
+        self._guard(f"sending {operation.name}", lambda: endpoint.write(packed, _ms(self._answer_timeout_s)))
 
     def _receive(self, operation: Operation) -> tuple[int, int, int, bytes, bool]:
         """Type, code, transaction, payload of the next container, and whether all of it came."""
         endpoint = self._endpoint(usb.util.ENDPOINT_IN, usb.util.ENDPOINT_TYPE_BULK)
         packet = endpoint.wMaxPacketSize
+        timeout_ms, deadline = _ms(self._silence_s(operation)), time.monotonic() + TRANSFER_TIMEOUT_S
 
         def read(size: int) -> bytes:
+            if time.monotonic() > deadline:
+                raise DeviceError(f"{self.name}: {operation.name} took over {TRANSFER_TIMEOUT_S:g} s; check the cable")
             wanted = math.ceil(size / packet) * packet
-            return bytes(self._guard(f"the answer to {operation.name}", lambda: endpoint.read(wanted, _ms(TIMEOUT_S))))
+            return bytes(self._guard(f"the answer to {operation.name}", lambda: endpoint.read(wanted, timeout_ms)))
 
         raw = bytearray(read(HEADER.size) or read(HEADER.size))  # an empty packet may close the transfer before
         if len(raw) < HEADER.size:

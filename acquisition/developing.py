@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from acquisition.calibration.applying import Corrections
 from acquisition.dataset import IlluminationDataset, open_dataset, write_dataset
-from acquisition.radiance import DEMOSAIC, merge, radiance, read_raw
+from acquisition.radiance import DEMOSAIC, RawFrame, merge, read_frame
 from acquisition.record import CaptureRecord, TakenShot
 from stage.errors import InputError
 from stage.lights import Light
@@ -58,6 +59,7 @@ def develop(
     *,
     geometry: Geometry,
     name: str,
+    corrections: Corrections | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> IlluminationDataset:
     """Write the dataset of a capture into its folder, beside the record; ``dataset.json`` comes last.
@@ -66,22 +68,49 @@ def develop(
     (`stage.rig.CameraPlace.radiance_per_dn_s`), and relative where it is not. Lights stand where the joints were
     measured.
 
+    Parameters
+    ----------
+    record : CaptureRecord
+        With all frames of its plan.
+    rig : Rig
+        As it was for the capture; where it was calibrated, `Corrections.rig` of the description.
+    geometry : Geometry
+        Of the object.
+    name : str
+        Of the dataset.
+    corrections : Corrections, optional
+        Dark, flat and response of the camera (see `Corrections.radiance`); all calibrations are named in
+        ``provenance.capture.calibrations``.
+    progress : callable
+        Called with the finished share, 0 to 1.
+
     Raises
     ------
     InputError
-        Where a RAW file is not what was recorded, the geometry does not fit, or the disk cannot be written.
+        Where a file is not what was recorded, the geometry or a calibration does not fit, or the disk cannot be
+        written.
     """
+    known = corrections or Corrections.none()
     plan, per_dn_s = record.plan, rig.camera.radiance_per_dn_s
-    dark = {t: _mean_dark(record, t) for t in plan.exposures_s}
-    shares: dict[str, float] = {}  # filled while the pictures are written, so before the manifest is
+    # Both are filled while the pictures are written, so before the manifest is.
+    shares: dict[str, float] = {}
+    kinds: dict[str, bool] = {}
+
+    def read(shot: TakenShot) -> RawFrame:
+        frame = read_frame(record.frame(shot), shot.file, transfer=rig.camera.device.transfer, response=known.response)
+        kinds["raw"] = frame.is_raw
+        return frame
+
+    dark = {t: _mean_dark(record, t, read) for t in plan.exposures_s}
 
     def frames() -> Iterator[tuple[Light, NDArray[np.float32], dict[str, Any]]]:
         for done, candidate in enumerate(plan.lights):
             shots = _shots_of(record, candidate)
             brackets = [
-                radiance(
-                    read_raw(record.frame(shot), shot.file),
+                known.radiance(
+                    read(shot),
                     shot.exposed_s,
+                    shot.file,
                     dark=dark[shot.exposure_s],
                     per_dn_s=per_dn_s or (1.0, 1.0, 1.0),
                 )
@@ -89,14 +118,15 @@ def develop(
             ]
             picture = merge(brackets)
             shares[str(candidate)] = picture.clipped_share
+            origin["demosaic"] = DEMOSAIC if kinds["raw"] else None
             yield _mean_light([shot.light() for shot in shots]), picture.image, {"saturation": picture.saturation}
             progress((done + 1) / len(plan.lights))
 
     origin: dict[str, Any] = {
         "software": f"lightstage {version('lightstage')}",
-        "demosaic": DEMOSAIC,
+        "calibrations": list(known.records),
         "radiance_per_dn_s": per_dn_s,
-        "dark": "frames without the lamp" if plan.dark_frames else "black level of the RAW files",
+        "dark": _dark_source(record, known),
         "clipped_share": shares,
         "rig": rig.to_json(),
         "plan": plan.to_json(),
@@ -129,11 +159,19 @@ def _shots_of(record: CaptureRecord, candidate: int | None) -> list[TakenShot]:
     return [one for _, one in sorted(record.taken.items()) if one.candidate == candidate]
 
 
-def _mean_dark(record: CaptureRecord, exposure_s: float) -> NDArray[np.float64] | None:
+def _dark_source(record: CaptureRecord, known: Corrections) -> str:
+    if record.plan.dark_frames:
+        return "frames without the lamp"
+    return "black level of the files" if known.dark is None else "dark calibration"
+
+
+def _mean_dark(
+    record: CaptureRecord, exposure_s: float, read: Callable[[TakenShot], RawFrame]
+) -> NDArray[np.float64] | None:
     of = [shot for shot in _shots_of(record, None) if shot.exposure_s == exposure_s]
     if not of:
         return None
-    total = sum(read_raw(record.frame(shot), shot.file).values for shot in of)
+    total = sum(read(shot).values.astype(np.float64) for shot in of)
     return np.asarray(total / len(of))
 
 

@@ -42,14 +42,14 @@ class TakenShot(PlanPart):
         Exposure time commanded, and the one that the camera set.
     file, sha256, size_bytes : str, str, int
         The RAW file, relative to the record's folder.
-    commanded_rad, measured_rad : tuple of float or None
-        Joint angles sent, and those read back before the exposure; None for a dark frame.
+    commanded, measured : tuple of float or None
+        Joint values sent, and those read back before the exposure, radians or metres; None for a dark frame.
     position, intensity : (3,) float or None
         The light that they and the lamp's levels make, metres and the rig's units; None for a dark frame.
     started : str
         Time of day at which the shot was begun, UTC.
-    move_s, expose_s, write_s : float
-        Seconds for moving and settling, for exposure with download, and for checking and writing.
+    move_s, settle_s, light_s, expose_s, download_s, decode_s, write_s : float
+        Seconds for moving, coming to rest, setting the lamp, exposure with read-out, download, decoding, and writing.
     attempts : int
         Tries that it took.
     camera : mapping
@@ -63,13 +63,17 @@ class TakenShot(PlanPart):
     file: str
     sha256: str
     size_bytes: int
-    commanded_rad: tuple[float, ...] | None
-    measured_rad: tuple[float, ...] | None
+    commanded: tuple[float, ...] | None
+    measured: tuple[float, ...] | None
     position: Triple | None
     intensity: Triple | None
     started: str
     move_s: float
+    settle_s: float
+    light_s: float
     expose_s: float
+    download_s: float
+    decode_s: float
     write_s: float
     attempts: int
     camera: dict[str, str]

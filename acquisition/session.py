@@ -13,20 +13,24 @@ from pathlib import Path, PurePath
 
 import numpy as np
 
+from acquisition.calibration.applying import Corrections
 from acquisition.check import check, lamp_levels, reach
 from acquisition.dataset import IlluminationDataset, open_dataset
 from acquisition.dataset.staging import signals_as_exit
 from acquisition.developing import Geometry, develop
 from acquisition.plan import CapturePlan, Shot
-from acquisition.radiance import read_raw
+from acquisition.radiance import read_frame
 from acquisition.record import CaptureRecord, TakenShot, open_record
 from stage.clock import Clock, SystemClock
-from stage.devices import AxisGroup, CapturedFrame, FrameCamera, Lamp, make_all_safe
+from stage.devices import Arrival, AxisGroup, CapturedFrame, FrameCamera, Lamp, make_all_safe
 from stage.errors import DeviceError, InputError
+from stage.flashing import FlashGuard
 from stage.interruption import interrupted
-from stage.rig import Rig
+from stage.rig import FixedDome, Rig
 
-ATTEMPTS = 3
+ATTEMPTS = 5
+PAUSE_S, LONGEST_PAUSE_S = 0.5, 4.0
+"""Before a shot is tried again; each pause is twice the one before. Somebody may be pushing a plug back in."""
 STILL_M = 0.001
 """How far the light may travel while the shutter is open."""
 EXPOSURE_MATCH = 0.02
@@ -79,6 +83,8 @@ class Session:
         Open devices.
     attempts : int
         Tries per shot before its `DeviceError` ends the session.
+    corrections : Corrections, optional
+        Calibrations; pictures that are not RAW are decoded with their response curve.
     clock : Clock
         For durations.
     now : callable
@@ -96,6 +102,7 @@ class Session:
         camera: FrameCamera,
         *,
         attempts: int = ATTEMPTS,
+        corrections: Corrections | None = None,
         clock: Clock | None = None,
         now: Callable[[], datetime] = utc_now,
         progress: Progress = lambda share: None,
@@ -104,8 +111,12 @@ class Session:
         self.outcome: Outcome | None = None
         self.reason = ""
         self._record, self._rig, self._attempts = record, rig, attempts
-        self._motion, self._lamp, self._camera = motion, lamp, camera
-        self._clock, self._now, self._progress = clock or SystemClock(), now, progress
+        self._corrections = corrections or Corrections.none()
+        clock = clock or SystemClock()
+        allowed = rig.light.flashing == "allowed"
+        self._lamp = lamp if isinstance(lamp, FlashGuard) else FlashGuard(lamp, clock, allowed=allowed)
+        self._motion, self._camera = motion, camera
+        self._clock, self._now, self._progress = clock, now, progress
 
     def request_stop(self, reason: str) -> None:
         """Ask for an end at the next shot; does nothing where the session is not running."""
@@ -187,23 +198,28 @@ class Session:
             except DeviceError as error:
                 if attempt == self._attempts:
                     raise DeviceError(f"shot {shot.name} failed {attempt} times; the last time: {error}") from error
+            self._clock.sleep(min(PAUSE_S * 2 ** (attempt - 1), LONGEST_PAUSE_S))
 
     def _take(self, shot: Shot, attempt: int) -> None:
         started, begin = self._now(), self._clock.now()
-        commanded = measured = light = None
+        commanded = light = None
+        arrival: Arrival | None = None
         if shot.light is None:
             self._lamp.dark()
         else:
-            commanded = reach(self._rig, shot, self._motion.positions_rad())
-            measured = self._motion.move_to(commanded)
+            commanded = reach(self._rig, shot, self._motion.positions())
+            arrival = self._motion.move_to(commanded)
+            moved = self._clock.now()
+            self._clock.sleep(self._lamp.pause_s())
             levels = self._lamp.set_levels(lamp_levels(self._rig.light, shot.light, shot.candidate))
-            light = self._rig.light_at(measured, levels)
-        settled = self._clock.now()
+            light = self._rig.light_at(arrival.positions, levels)
+        lit = self._clock.now()
         frame = self._camera.capture(shot.exposure_s)
-        exposed = self._clock.now()
-        if measured is not None:
-            self._require_stillness(measured)
+        if arrival is not None:
+            self._require_stillness(arrival.positions)
+        received = self._clock.now()
         self._require_picture(frame, shot)
+        decoded = self._clock.now()
         suffix = PurePath(frame.name).suffix.lower() or ".raw"
         file, digest = self._record.write_frame(shot, frame.data, suffix)
         self._record.add(
@@ -215,14 +231,18 @@ class Session:
                 file=file,
                 sha256=digest,
                 size_bytes=len(frame.data),
-                commanded_rad=commanded,
-                measured_rad=measured,
+                commanded=commanded,
+                measured=None if arrival is None else arrival.positions,
                 position=None if light is None else light.position,
                 intensity=None if light is None else light.intensity,
                 started=started.isoformat(),
-                move_s=settled - begin,
-                expose_s=exposed - settled,
-                write_s=self._clock.now() - exposed,
+                move_s=0.0 if arrival is None else moved - begin - arrival.settle_s,
+                settle_s=0.0 if arrival is None else arrival.settle_s,
+                light_s=lit - (begin if arrival is None else moved),
+                expose_s=frame.expose_s,
+                download_s=frame.download_s,
+                decode_s=decoded - received,
+                write_s=self._clock.now() - decoded,
                 attempts=attempt,
                 camera={"name": frame.name, **frame.metadata},
             )
@@ -230,8 +250,10 @@ class Session:
 
     def _require_stillness(self, before: tuple[float, ...]) -> None:
         """Refuse a frame during which the light moved."""
-        arm = self._rig.motion
-        drift = float(np.linalg.norm(arm.light_position(self._motion.positions_rad()) - arm.light_position(before)))
+        motion = self._rig.motion
+        if isinstance(motion, FixedDome):
+            return
+        drift = float(np.linalg.norm(motion.light_position(self._motion.positions()) - motion.light_position(before)))
         if drift > STILL_M:
             raise DeviceError(
                 f"{self._motion.name}: the light moved by {1000 * drift:.1f} mm while the shutter was open"
@@ -239,8 +261,8 @@ class Session:
 
     def _require_picture(self, frame: CapturedFrame, shot: Shot) -> None:
         """Refuse a frame that cannot be used later, while it can still be taken again."""
-        raw = read_raw(frame.data, frame.name)
         place = self._rig.camera
+        raw = read_frame(frame.data, frame.name, transfer=place.device.transfer, response=self._corrections.response)
         if raw.size != (place.width, place.height):
             raise InputError(
                 f"rig: camera.width, camera.height: expected {raw.size[0]} x {raw.size[1]}, half of what the camera's "
@@ -274,6 +296,7 @@ def capture(
     resume: bool = False,
     geometry: Geometry | None = None,
     name: str | None = None,
+    corrections: Corrections | None = None,
     attempts: int = ATTEMPTS,
     clock: Clock | None = None,
     now: Callable[[], datetime] = utc_now,
@@ -298,6 +321,8 @@ def capture(
         Depth, normals, mask or mesh of the object, to be stored with the pictures.
     name : str, optional
         Of the dataset; the folder's name where none is given.
+    corrections : Corrections, optional
+        Calibrations: they correct `rig` and the pictures, and the dataset names them.
     attempts, clock, now
         As in `Session`.
     progress : callable
@@ -312,15 +337,33 @@ def capture(
         Where a device failed for good; run again with `resume`.
     """
     out = Path(out)
+    known = corrections or Corrections.none()
+    rig = known.rig(rig)
     surface = geometry or Geometry()
     surface.require_size(rig.camera.width, rig.camera.height)
     ready = plan.with_exposure(rig.camera.device.exposure_s)
     record = open_record(out, ready, resume=resume)
     if (out / "dataset.json").exists() and not record.missing:
         return open_dataset(out)
-    check(ready, rig, out, shots=record.missing)
+    check(ready, rig, out, shots=record.missing, camera=camera, start=motion.positions())
     session = Session(
-        record, rig, motion, lamp, camera, attempts=attempts, clock=clock, now=now, progress=lambda s: progress(0.9 * s)
+        record,
+        rig,
+        motion,
+        lamp,
+        camera,
+        attempts=attempts,
+        corrections=known,
+        clock=clock,
+        now=now,
+        progress=lambda share: progress(0.9 * share),
     )
     session.run()
-    return develop(record, rig, geometry=surface, name=name or out.name, progress=lambda s: progress(0.9 + 0.1 * s))
+    return develop(
+        record,
+        rig,
+        geometry=surface,
+        name=name or out.name,
+        corrections=known,
+        progress=lambda share: progress(0.9 + 0.1 * share),
+    )

@@ -65,30 +65,38 @@ def read_header(path: Path) -> Header:
     """
     try:
         with path.open("rb") as file:
-            magic = file.read(8)
-            file.seek(0)
-            if magic == PNG_SIGNATURE:
-                return _png(file)
-            if magic[:2] == b"\xff\xd8":
-                return _jpeg(file)
-            if magic[:4] == _EXR_MAGIC:
-                return _exr(file)
-            if magic[:4] in _TIFF_MAGICS:
-                return _tiff(file)
-            size = os.fstat(file.fileno()).st_size
+            return header_of(file)
     except FileNotFoundError:
         raise PictureError("does not exist") from None
     except IsADirectoryError:
         raise PictureError("is a folder, not a picture") from None
     except OSError as error:
         raise PictureError(f"cannot be read ({error.strerror})") from None
+
+
+def header_of(file: BinaryIO) -> Header:
+    """Like `read_header`, of a file that is open or in memory, at its beginning."""
+    magic = file.read(8)
+    file.seek(0)
+    try:
+        if magic == PNG_SIGNATURE:
+            return _png(file)
+        if magic[:2] == b"\xff\xd8":
+            return _jpeg(file)
+        if magic[:4] == _EXR_MAGIC:
+            return _exr(file)
+        if magic[:4] in _TIFF_MAGICS:
+            return _tiff(file)
     except struct.error:
         raise PictureError("is truncated inside its header") from None
-    raise PictureError("is empty" if size == 0 else "is not an EXR, PNG, TIFF or JPEG picture")
+    raise PictureError("is not an EXR, PNG, TIFF or JPEG picture" if magic else "is empty")
 
 
 def _size_of(file: BinaryIO) -> int:
-    return os.fstat(file.fileno()).st_size
+    at = file.tell()
+    size = file.seek(0, os.SEEK_END)
+    file.seek(at)
+    return size
 
 
 def _png(file: BinaryIO) -> Header:

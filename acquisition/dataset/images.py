@@ -13,7 +13,7 @@ import numpy as np
 import OpenEXR
 from numpy.typing import ArrayLike, NDArray
 
-from acquisition.dataset.headers import PNG_SIGNATURE, Header, PictureError, read_header
+from acquisition.dataset.headers import PNG_SIGNATURE, Header, PictureError, header_of, read_header
 from stage.errors import InputError
 
 Stored = NDArray[Any]
@@ -48,17 +48,22 @@ def read_picture(path: Path, header: Header | None = None) -> Stored:
     found = read_header(path)
     if header is not None and found != header:
         raise PictureError("changed while it was in use")
-    samples = _decode_exr(path, found) if found.format == "exr" else _decode_integer(path, found)
-    if samples.shape[:2] != (found.height, found.width):
-        raise PictureError("is damaged: its pixels do not have the size that its header gives")
-    return samples
-
-
-def _decode_integer(path: Path, header: Header) -> Stored:
+    if found.format == "exr":
+        return _decode_exr(str(path), found)
     try:
         data = path.read_bytes()
     except OSError as error:
         raise PictureError(f"cannot be read ({error.strerror})") from None
+    return _decode_integer(data, found)
+
+
+def decode_picture(data: bytes) -> Stored:
+    """Like `read_picture`, of a file in memory."""
+    header = header_of(io.BytesIO(data))
+    return _decode_exr(io.BytesIO(data), header) if header.format == "exr" else _decode_integer(data, header)
+
+
+def _decode_integer(data: bytes, header: Header) -> Stored:
     if header.format == "png":
         _check_png_sums(data)
     try:
@@ -69,6 +74,12 @@ def _decode_integer(path: Path, header: Header) -> Stored:
         raise PictureError(f"is a damaged {header.format.upper()} that cannot be decoded")
     if samples.ndim == 3:
         samples = cv2.cvtColor(samples, cv2.COLOR_BGR2RGB if samples.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
+    return _of_size(samples, header)
+
+
+def _of_size(samples: Stored, header: Header) -> Stored:
+    if samples.shape[:2] != (header.height, header.width):
+        raise PictureError("is damaged: its pixels do not have the size that its header gives")
     return samples
 
 
@@ -83,7 +94,7 @@ def _check_png_sums(data: bytes) -> None:
         at += 12 + length
 
 
-def _decode_exr(path: Path, header: Header) -> Stored:
+def _decode_exr(source: str | io.BytesIO, header: Header) -> Stored:
     names = set(header.channels)
     if {"R", "G", "B"} <= names:
         wanted = ["R", "G", "B"]
@@ -92,13 +103,13 @@ def _decode_exr(path: Path, header: Header) -> Stored:
     else:
         raise PictureError(f"has the channels {', '.join(header.channels)}; expected R, G, B or a single one")
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
+        with OpenEXR.File(source, separate_channels=True) as file:
             channels = file.channels()
             planes = [np.asarray(channels[name].pixels) for name in wanted]
     except (RuntimeError, ValueError, KeyError, IndexError):
         raise PictureError("is a damaged EXR that cannot be decoded") from None
     samples = planes[0].copy() if len(planes) == 1 else np.stack(planes, -1)
-    return samples.astype(header.dtype, copy=False)
+    return _of_size(samples.astype(header.dtype, copy=False), header)
 
 
 def check_finite(samples: Stored) -> None:
@@ -140,17 +151,22 @@ def write_exr(path: str | Path, array: ArrayLike, half: bool = False) -> None:
     InputError
         Where the shape is another one, or a finite value exceeds what a half float holds (65504).
     """
+    Path(path).write_bytes(encode_exr(array, half, name=str(path)))
+
+
+def encode_exr(array: ArrayLike, half: bool = False, *, name: str) -> bytes:
+    """Return what `write_exr` writes; `name` is what errors speak of."""
     values = np.asarray(array)
     if values.ndim not in (2, 3) or (values.ndim == 3 and values.shape[2] != 3) or values.size == 0:
-        raise InputError(f"{path}: expected the shape (height, width) or (height, width, 3), got {values.shape}")
+        raise InputError(f"{name}: expected the shape (height, width) or (height, width, 3), got {values.shape}")
     if half and np.abs(values[np.isfinite(values)]).max(initial=0) > HALF_MAX:
-        raise InputError(f"{path}: a value exceeds {HALF_MAX:g}, the largest that half floats hold; write floats")
+        raise InputError(f"{name}: a value exceeds {HALF_MAX:g}, the largest that half floats hold; write floats")
     pixels = np.ascontiguousarray(values, dtype=np.float16 if half else np.float32)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with OpenEXR.File(header, {"Z": pixels} if pixels.ndim == 2 else {"RGB": pixels}) as file:
         stream = io.BytesIO()  # the library's own file writing reports a full disk on stderr only
         file.write(stream)
-    Path(path).write_bytes(stream.getbuffer())
+    return stream.getvalue()
 
 
 def write_png(path: Path, array: NDArray[Any]) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from simulators.raw import Sensor, through_filters
 from stage.camera import Camera
-from stage.devices import CapturedFrame
+from stage.devices import Arrival, CapturedFrame
 from stage.errors import DeviceError, InputError
 from stage.rig import Rig
 
@@ -32,17 +32,17 @@ def make_rig(**camera: Any) -> Rig:
             "schema": "lightstage-rig/1",
             "camera": {
                 **place,
-                "device": {"exposure_s": 0.05},
+                "device": {"driver": "ptp-usb", "exposure_s": 0.05},
                 "radiance_per_dn_s": SENSOR.radiance_per_dn_s(),
                 **camera,
             },
             "motion": {
+                "driver": "dynamixel",
                 "port": "fake",
-                "radius_m": 0.5,
-                "pan": {"servo_id": 1, "limits_deg": [-170, 170]},
-                "tilt": {"servo_id": 2, "limits_deg": [0, 90]},
+                "kinematics": {"kind": "pan-tilt", "radius_m": 0.5},
+                "joints": [{"servo_id": 1, "limits_deg": [-170, 170]}, {"servo_id": 2, "limits_deg": [0, 90]}],
             },
-            "light": {"port": "fake", "emitters": [{"channel": 1, "intensity": FULL}]},
+            "light": {"driver": "enttec-dmx-usb-pro", "port": "fake", "emitters": [{"channel": 1, "intensity": FULL}]},
         }
     )
 
@@ -53,8 +53,7 @@ class StillClock:
     def now(self) -> float:
         return 0.0
 
-    def sleep(self, seconds: float) -> None:
-        raise AssertionError("a session does not sleep")
+    def sleep(self, seconds: float) -> None: ...
 
 
 def noon() -> datetime:
@@ -94,16 +93,16 @@ class FakeMotion(FakeDevice):
         self.moves = 0
 
     @property
-    def limits_rad(self) -> tuple[tuple[float, float], ...]:
+    def limits(self) -> tuple[tuple[float, float], ...]:
         return ((-3.0, 3.0), (0.0, 1.6))
 
-    def positions_rad(self) -> tuple[float, ...]:
+    def positions(self) -> tuple[float, ...]:
         return self.joints
 
-    def move_to(self, targets_rad: Sequence[float]) -> tuple[float, ...]:
+    def move_to(self, targets: Sequence[float]) -> Arrival:
         self.moves += 1
-        self.joints = (targets_rad[0] + OFFSET_RAD, targets_rad[1] - OFFSET_RAD)
-        return self.joints
+        self.joints = (targets[0] + OFFSET_RAD, targets[1] - OFFSET_RAD)
+        return Arrival(self.joints)
 
 
 class FakeLamp(FakeDevice):
@@ -139,9 +138,12 @@ class FakeCamera(FakeDevice):
         self.after: Callable[[int, bytes], bytes] = lambda shot, data: data
         self.exposed_as: Callable[[float], float] = lambda exposure_s: exposure_s
 
-    def capture(self, exposure_s: float) -> CapturedFrame:
+    def require_exposure(self, exposure_s: float) -> None:
         if exposure_s > 10:
             raise InputError(f"exposure_s: the camera offers no {exposure_s:g} s")
+
+    def capture(self, exposure_s: float) -> CapturedFrame:
+        self.require_exposure(exposure_s)
         self.shots += 1
         self.before(self.shots)
         light = wall(self._motion.joints, self._lamp.level)
@@ -149,7 +151,7 @@ class FakeCamera(FakeDevice):
         numbers = SENSOR.read(through_filters(light), exposure_s, 100, np.random.default_rng(seed))
         told = self.exposed_as(exposure_s)
         data = self.after(self.shots, SENSOR.dng(numbers, told, 100))
-        return CapturedFrame(data, "IMG.DNG", exposure_s, 0.0, {"model": "fake"})
+        return CapturedFrame(data, "IMG.DNG", exposure_s, 0.0, metadata={"model": "fake"})
 
 
 def wall(joints: Sequence[float], level: float) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ Only what every verb needs is imported here, so that ``--help`` and a mistyped o
 
 from __future__ import annotations
 
+import sys
 import warnings
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from api import console
+from api.calibrate_cli import calibrate
 
 app = typer.Typer(
     name="lightstage",
@@ -21,6 +23,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+rig_app = typer.Typer(name="rig", help="Look after the devices of a stage.", rich_markup_mode=None)
+app.add_typer(rig_app)
+app.add_typer(calibrate)
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON value on stdout, progress on stderr.")]
 Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="A dataset, or any folder that 'import' reads.")]
@@ -125,6 +131,47 @@ def capture(
     with console.progress("capture") as progress:
         result = run(rig, plan, out, resume=resume, progress=progress)
     _write(result, json)
+
+
+@app.command()
+def simulate(
+    rig: Annotated[Path, typer.Option(metavar="RIG", help="Description of the stage.")],
+    rig_out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the description with the simulators' addresses here.")
+    ] = None,
+    faults: Annotated[
+        Path | None, typer.Option(metavar="SCRIPT", help="What is to go wrong, one JSON per line.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the sensor's noise.")] = 0,
+    control_port: Annotated[int, typer.Option(min=0, max=65535, help="For commands; 0 takes a free one.")] = 0,
+    json: Json = False,
+) -> None:
+    """Answer in place of a rig's devices until Ctrl-C, on ports that any program can open."""
+    from api.verbs.simulating import simulate as run
+
+    with run(rig, rig_out=rig_out, faults=faults, seed=seed, control_port=control_port) as (found, wait):
+        _write(found, json)
+        sys.stdout.flush()  # whoever started it reads the addresses from a pipe
+        wait()
+
+
+@rig_app.command()
+def check(
+    rig: Annotated[Path, typer.Argument(metavar="RIG", help="Description of the stage.")],
+    move: Annotated[bool, typer.Option("--move", help="Let every joint move by 5 degrees or 20 mm and back.")] = False,
+    json: Json = False,
+) -> None:
+    """Open every device, blink the light, take a dark and a lit frame, and report."""
+    from api.verbs.checking import check_rig as run
+
+    with console.progress("rig check"):
+        findings = run(rig, move=move)
+    if json:
+        console.write_json([finding.to_json() for finding in findings])
+    else:
+        console.write_facts({f"{one.role}: {one.device}": one.said() for one in findings})
+    if any(finding.trouble for finding in findings):
+        raise typer.Exit(1)
 
 
 @app.command()

@@ -46,14 +46,16 @@ def demo_rig() -> Rig:
             "camera": {
                 **place,
                 "radiance_per_dn_s": Sensor().radiance_per_dn_s(),
-                "device": {"driver": "ptp-usb", "exposure_s": EXPOSURE_S},
+                "device": {"driver": "ptp-usb", "port": "sim:", "exposure_s": EXPOSURE_S},
             },
             "motion": {
                 "driver": "dynamixel",
                 "port": "sim:",
-                "radius_m": ARM_M,
-                "pan": {"servo_id": 1, "limits_deg": [-180, 179]},
-                "tilt": {"servo_id": 2, "limits_deg": [0, 90], "zero_deg": 90},
+                "kinematics": {"kind": "pan-tilt", "radius_m": ARM_M},
+                "joints": [
+                    {"servo_id": 1, "limits_deg": [-180, 179]},
+                    {"servo_id": 2, "limits_deg": [0, 90], "zero_deg": 90},
+                ],
             },
             "light": {
                 "driver": "enttec-dmx-usb-pro",

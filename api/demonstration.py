@@ -24,7 +24,7 @@ from api.evaluation_report import Inspector, Seen, evaluation_content, mean_pict
 from api.report import write_report, write_summary_picture
 from api.report.content import Coverage, Relit, ReportContent
 from api.surface_source import surface_of_depth
-from api.verbs.planning import capture_plan, choose_lights, rig_dome
+from api.verbs.planning import capture_plan, choose_lights, rig_lights
 from api.verbs.relighting import relight
 from reconstruct.evaluate import Evaluation, evaluate
 from reconstruct.holdout import Split
@@ -89,7 +89,7 @@ def demo(out: Path, *, progress: Progress = no_progress) -> dict[str, Any]:
             progress(0.1)
             with watch.step("plan"):
                 surface = surface_of_depth(truth.depth, truth.mask, rig.camera.calibration())
-                candidates = rig_dome(rig, source="rig.yaml")
+                candidates = rig_lights(rig, source="rig.yaml")
                 chosen = choose_lights(candidates, surface, METHOD, target=TARGET)
                 # With the mesh beside it, each step can be repeated by its own command.
                 points = rig.camera.calibration().depth_to_points(truth.depth)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import yaml
 
+from acquisition.calibration.applying import load_corrections
 from stage.errors import InputError
 from stage.rig import Rig, rig_from_mapping
 
@@ -29,3 +30,14 @@ def read_rig(path: Path) -> Rig:
     except (yaml.YAMLError, RecursionError) as error:
         raise InputError(f"{path}: is not YAML ({error})") from None
     return rig_from_mapping(data, str(path))
+
+
+def calibration_files(rig: Rig, path: Path) -> list[Path]:
+    """Calibration files that a rig description at `path` lists, which it names relative to itself."""
+    return [path.parent / name for name in rig.calibrations]
+
+
+def read_calibrated_rig(path: Path) -> Rig:
+    """Read a rig description with its calibrations applied; raises `InputError` that names the file at fault."""
+    rig = read_rig(path)
+    return load_corrections(calibration_files(rig, path)).rig(rig)

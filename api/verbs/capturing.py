@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from acquisition.calibration.applying import load_corrections
 from acquisition.developing import Geometry
 from acquisition.plan import CapturePlan, read_plan
 from acquisition.session import capture as take
 from api.devices import open_bench
-from api.rig_file import read_rig
+from api.rig_file import calibration_files, read_rig
 from api.surface_source import read_surface
 from api.verbs.importing import describe
 from reconstruct.evaluate import same_camera
@@ -45,7 +46,9 @@ def capture(
         Where a device failed; the frames taken so far are kept for `resume`.
     """
     description, planned = read_rig(rig), read_plan(plan)
-    geometry = planned_surface(planned, description, source=plan)
+    corrections = load_corrections(calibration_files(description, rig))
+    calibrated = corrections.rig(description)
+    geometry = planned_surface(planned, calibrated, source=plan)
     try:
         with open_bench(description) as bench:
             # The description with "sim:" ports, not the passing pseudo-terminals, is what the dataset should remember.
@@ -56,6 +59,7 @@ def capture(
                 bench.camera,
                 out,
                 rig=description,
+                corrections=corrections,
                 resume=resume,
                 geometry=geometry,
                 clock=bench.clock,

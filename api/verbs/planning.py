@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from acquisition.check import lamp_levels
 from acquisition.dataset import staged_file
 from acquisition.importing import load_any
-from acquisition.plan import CapturePlan
+from acquisition.plan import CapturePlan, PlannedLight
 from api.lights_file import read_lights
-from api.rig_file import read_rig
+from api.rig_file import read_calibrated_rig
 from api.surface_source import Surface, read_surface, surface_of
 from reconstruct.model import Progress, no_progress
 from stage.errors import InputError
@@ -20,7 +21,7 @@ from stage.lights import Light, dome
 from stage.measurability import measurability
 from stage.planning import METHODS, LightPlan, PlanningTask
 from stage.planning import plan as choose
-from stage.rig import Rig
+from stage.rig import FixedDome, Rig
 
 RINGS_DEG = (15.0, 30.0, 45.0, 60.0, 75.0)
 PER_RING = 12
@@ -73,7 +74,7 @@ def plan(
     """
     if method not in METHODS:
         raise InputError(f"--method: expected one of {', '.join(METHODS)}, got {method!r}")
-    description = read_rig(rig) if rig is not None else None
+    description = read_calibrated_rig(rig) if rig is not None else None
     with staged_file(out) as temporary:
         lights, seen = _candidates(candidates, description, rig)
         if surface is not None:
@@ -132,18 +133,31 @@ def capture_plan(lights: list[Light], chosen: LightPlan, *, surface: Path | None
     )
 
 
-def rig_dome(rig: Rig, *, source: str) -> list[Light]:
-    """Places of a rig's dome that its arm can reach, with all that its lamp gives; raises `InputError` without any."""
+def rig_lights(rig: Rig, *, source: str) -> list[Light]:
+    """Places to which a rig can bring its light, with all that the lamp gives.
+
+    These are the lights of a fixed dome, or those places of a dome about the stage's centre that the joints reach.
+    Raises `InputError` where there are none, or the kinematics leave the dome's radius open.
+    """
+    if isinstance(rig.motion, FixedDome):
+        places = dict.fromkeys(emitter.position_m for emitter in rig.light.emitters)
+        return [rig.light_at((), lamp_levels(rig.light, PlannedLight(position=place))) for place in places]
+    radius = rig.motion.kinematics.dome_radius_m
+    if radius is None:
+        raise InputError(f"{source}: motion.kinematics: can put the light anywhere; say where by --candidates")
     everything = rig.light.intensity_at([1.0] * len(rig.light.emitters))
     found = []
-    for light in dome(PER_RING, np.radians(RINGS_DEG), rig.motion.radius_m):
+    for light in dome(PER_RING, np.radians(RINGS_DEG), radius):
+        place = light.position or ()
         try:
-            rig.motion.joints_for_position(light.position or ())
+            joints = rig.reach(place)
         except InputError:
+            continue
+        if rig.standing_obstruction(joints, place) is not None:
             continue
         found.append(Light(position=light.position, intensity=everything))
     if not found:
-        raise InputError(f"{source}: motion.limits_deg: the arm reaches none of the {PER_RING * len(RINGS_DEG)} places")
+        raise InputError(f"{source}: motion.joints: the arm reaches none of the {PER_RING * len(RINGS_DEG)} places")
     return found
 
 
@@ -152,7 +166,7 @@ def _candidates(path: Path | None, rig: Rig | None, rig_path: Path | None) -> tu
     if path is None:
         if rig is None:
             raise InputError("--rig, --candidates: give one of the two, so that there are lights to choose from")
-        return rig_dome(rig, source=str(rig_path)), None
+        return rig_lights(rig, source=str(rig_path)), None
     if path.suffix.lower() == ".json" and path.name != "dataset.json":
         return _listed(path), None
     dataset = load_any(path)

@@ -13,7 +13,7 @@ from acquisition.dataset.mesh import write_ply
 from acquisition.plan import read_plan
 from api.demo_stage import demo_rig, held_out_lights
 from api.devices import open_bench, simulation_seed
-from api.verbs.planning import rig_dome
+from api.verbs.planning import rig_lights
 from simulators.scene import dish
 from stage.camera import Camera
 from stage.devices import AxisGroup, FrameCamera, Lamp
@@ -39,8 +39,11 @@ def small_rig(**changes) -> dict:
     camera = Camera.look_at(SMALL["width"], SMALL["height"], SMALL["focal"], (0, -0.7, 0.98)).to_json()
     description["camera"] |= {key: camera[key] for key in ("width", "height", "K")}
     for path, value in changes.items():
-        part, key = path.split("__")
-        description[part][key] = value
+        *parts, key = path.split("__")
+        place = description
+        for part in parts:
+            place = place[part]
+        place[key] = value
     return description
 
 
@@ -142,7 +145,7 @@ def test_plan_refuses(refused, rig, bump, ramps, tmp_path):
         ("[1, 2]", "expected a mapping"),
         ("schema: lightstage-rig/2", "schema"),
         (yaml.safe_dump(small_rig() | {"colour": 1}), "colour: unknown key"),
-        (yaml.safe_dump(small_rig(motion__radius_m=float("nan"))), "motion.radius_m"),
+        (yaml.safe_dump(small_rig(motion__kinematics__radius_m=float("nan"))), "motion.kinematics.radius_m"),
         (yaml.safe_dump(small_rig(motion__driver="stepper")), "motion.driver"),
     ],
 )
@@ -155,18 +158,39 @@ def test_a_bad_rig_is_refused_by_file_and_field(refused, tmp_path, text, says):
 
 
 def test_a_rigs_dome_is_what_its_arm_reaches():
-    assert len(rig_dome(demo_rig(), source="rig")) == 60
+    assert len(rig_lights(demo_rig(), source="rig")) == 60
     half = small_rig()
-    half["motion"]["pan"]["limits_deg"] = [-91, 91]
-    assert len(rig_dome(Rig.model_validate(half), source="rig")) == 5 * 7
+    half["motion"]["joints"][0]["limits_deg"] = [-91, 91]
+    assert len(rig_lights(Rig.model_validate(half), source="rig")) == 5 * 7
     low = small_rig()
-    low["motion"]["tilt"]["limits_deg"] = [0, 10]
+    low["motion"]["joints"][1]["limits_deg"] = [0, 10]
     with pytest.raises(InputError, match="reaches none of the 60 places"):
-        rig_dome(Rig.model_validate(low), source="rig")
+        rig_lights(Rig.model_validate(low), source="rig")
+
+
+def test_lights_of_a_fixed_dome_are_its_own_and_a_gantry_asks_for_places():
+    fixed = small_rig(motion={"driver": "fixed-dome"})
+    fixed["light"]["emitters"] = [
+        {"channel": n, "intensity": [n, n, n], "position_m": [0.1 * (n % 2), 0, 0.5]} for n in range(1, 5)
+    ]
+    found = rig_lights(Rig.model_validate(fixed), source="rig")
+    np.testing.assert_allclose([light.position for light in found], [(0.1, 0, 0.5), (0, 0, 0.5)], atol=1e-12)
+    assert [light.intensity[0] for light in found] == [4, 6]
+    joints = [{"axis": axis, "limits_m": [0, 1]} for axis in "XYZ"]
+    gantry = {"driver": "grbl", "port": "sim:", "kinematics": {"kind": "gantry"}, "joints": joints}
+    with pytest.raises(InputError, match="say where by --candidates"):
+        rig_lights(Rig.model_validate(small_rig(motion=gantry)), source="rig")
+
+
+def test_places_in_a_keep_out_zone_are_no_candidates():
+    table = [{"kind": "half-space", "point_m": [0, 0, 0.2], "normal": [0, 0, 1]}]
+    kept = rig_lights(Rig.model_validate(small_rig(keep_out=table)), source="rig")
+    assert len(kept) < 60
+    assert min(light.position[2] for light in kept) > 0.2
 
 
 def test_held_out_lights_are_no_candidates():
-    places = np.array([light.position for light in rig_dome(demo_rig(), source="rig")])
+    places = np.array([light.position for light in rig_lights(demo_rig(), source="rig")])
     for light in held_out_lights():
         nearest = np.linalg.norm(places - np.array(light.position), axis=1).min()
         assert nearest > 0.7 * np.radians(5)
@@ -177,14 +201,16 @@ def test_held_out_lights_are_no_candidates():
     [("sim:", "/dev/ttyUSB0", "one world"), ("sim:1", "sim:2", "one world"), ("sim:x", "sim:x", "a seed")],
 )
 def test_a_stage_is_simulated_as_a_whole_or_not_at_all(motion, light, says):
+    rig = demo_rig().plugged_in({"motion": motion, "light": light, "camera": motion})
     with pytest.raises(InputError, match=says):
-        simulation_seed(Rig.model_validate(small_rig(motion__port=motion, light__port=light)))
+        simulation_seed(rig)
 
 
 def test_seed_of_a_simulated_stage():
     assert simulation_seed(demo_rig()) == 0
-    assert simulation_seed(demo_rig().with_ports(motion="sim:12", light="sim:12")) == 12
-    assert simulation_seed(demo_rig().with_ports(motion="/dev/a", light="/dev/b")) is None
+    roles = ("motion", "light", "camera")
+    assert simulation_seed(demo_rig().plugged_in(dict.fromkeys(roles, "sim:12"))) == 12
+    assert simulation_seed(demo_rig().plugged_in(dict.fromkeys(roles, "/dev/a"))) is None
 
 
 @pytest.mark.system
@@ -193,7 +219,7 @@ def test_every_device_of_a_simulated_rig_is_the_real_driver():
         assert isinstance(bench.motion, AxisGroup)
         assert isinstance(bench.lamp, Lamp)
         assert isinstance(bench.camera, FrameCamera)
-        reached = bench.motion.move_to((0.3, 0.7))
+        reached = bench.motion.move_to((0.3, 0.7)).positions
         np.testing.assert_allclose(reached, (0.3, 0.7), atol=0.01)
         bench.lamp.set_level(1.0)
         np.testing.assert_allclose(bench.world.light(bench.clock.now())[1], (1.5, 1.5, 1.5))
@@ -233,8 +259,9 @@ def test_capture_refuses_what_the_rig_cannot_do(refused, rig, tmp_path):
 
 def test_a_real_port_that_is_not_there_is_the_devices_failure(run, tmp_path):
     rig = tmp_path / "rig.yaml"
-    rig.write_text(yaml.safe_dump(small_rig(motion__port=str(tmp_path / "tty"), light__port=str(tmp_path / "dmx"))))
-    candidates = [light.to_json() for light in rig_dome(demo_rig(), source="rig")[:3]]
+    ports = {"motion__port": str(tmp_path / "tty"), "light__port": str(tmp_path / "dmx"), "camera__device__port": "usb"}
+    rig.write_text(yaml.safe_dump(small_rig(**ports)))
+    candidates = [light.to_json() for light in rig_lights(demo_rig(), source="rig")[:3]]
     plan = write_json(
         tmp_path / "plan.json", {"schema": "lightstage-plan/1", "lights": [0, 1, 2], "candidates": candidates}
     )

@@ -8,10 +8,12 @@ chrome ones, at whose rim the floor is mirrored, on a jig that says where they s
 from __future__ import annotations
 
 import json
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from acquisition.calibration.chrome import calibrate_lights, mean_picture
@@ -177,5 +179,17 @@ def _summary(values: np.ndarray[Any, Any]) -> dict[str, float]:
     return {"median": float(np.median(known)), "max": float(known.max())} if len(known) else {}
 
 
+def write_picture(path: Path) -> None:
+    """One photograph of the chrome spheres, for people: gamma-coded, cut at the 98th percentile."""
+    plan, rig = plan_of(4, ELEVATIONS_DEG[:1], CHROME), chain_rig(SIZE, FOCAL_PX)
+    with tempfile.TemporaryDirectory() as place:
+        image = photograph(plan, rig, Path(place) / "spheres", reflectance=CHROME).image(1)
+    shown = np.clip(image / np.percentile(image, 98), 0, 1) ** (1 / 2.2)
+    cv2.imwrite(str(path), np.rint(255 * shown[..., ::-1]).astype(np.uint8))
+
+
 if __name__ == "__main__":
-    print(json.dumps(run(), indent=1))
+    if sys.argv[1:]:
+        write_picture(Path(sys.argv[1]))
+    else:
+        print(json.dumps(run(), indent=1))

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 from typer.core import TyperGroup
@@ -28,6 +31,38 @@ QUIET_SPELL_S = 5.0
 """Time between two lines on progress after that."""
 
 
+class _CtrlC:
+    """Ctrl-C, remembered: some libraries swallow it while they are imported, trimesh for one."""
+
+    pressed = False
+
+    @contextmanager
+    def heeded(self) -> Iterator[None]:
+        """Raise `KeyboardInterrupt` as ever, and once more in `check`."""
+        self.pressed = False
+        in_main = threading.current_thread() is threading.main_thread()
+        if not in_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+            yield  # not ours to handle
+            return
+        signal.signal(signal.SIGINT, self._press)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def check(self) -> None:
+        """Raise `KeyboardInterrupt` where it has been pressed and the command runs on."""
+        if self.pressed:
+            raise KeyboardInterrupt
+
+    def _press(self, signum: int, frame: FrameType | None) -> None:
+        self.pressed = True
+        raise KeyboardInterrupt
+
+
+_ctrl_c = _CtrlC()
+
+
 class OneSentence(TyperGroup):
     """The command group whose every failure is an exit code and one sentence on stderr, never a traceback."""
 
@@ -40,7 +75,8 @@ class OneSentence(TyperGroup):
 def exit_code(run: Callable[[], object]) -> int:
     """Run and return the process's exit code; with ``LIGHTSTAGE_DEBUG=1`` failures pass through as they are."""
     try:
-        returned = run()
+        with _ctrl_c.heeded():
+            returned = run()
     except KeyboardInterrupt:
         returned = INTERRUPTED
     except Exception as error:
@@ -137,8 +173,10 @@ def write_facts(facts: dict[str, Any]) -> None:
 def progress(label: str) -> Iterator[Progress]:
     """Show how far a step is: a bar that vanishes on a terminal, else a line now and then and one at the end.
 
-    A step that fails early prints no line, so that its error stays alone on stderr.
+    A step that fails early prints no line, so that its error stays alone on stderr. A Ctrl-C that somebody swallowed is
+    raised again at the beginning of the step and whenever it tells how far it is.
     """
+    _ctrl_c.check()
     if not sys.stderr.isatty():
         yield from _lines(label)
         return
@@ -155,7 +193,12 @@ def progress(label: str) -> Iterator[Progress]:
     )
     with Bars(*columns, console=Console(file=sys.stderr), transient=True) as bars:
         task = bars.add_task(label, total=1.0)
-        yield lambda share: bars.update(task, completed=share)
+
+        def show(share: float) -> None:
+            _ctrl_c.check()
+            bars.update(task, completed=share)
+
+        yield show
 
 
 def _lines(label: str) -> Iterator[Progress]:
@@ -164,6 +207,7 @@ def _lines(label: str) -> Iterator[Progress]:
 
     def show(share: float) -> None:
         nonlocal last
+        _ctrl_c.check()
         if time.monotonic() - last >= QUIET_SPELL_S:
             last = time.monotonic()
             print(f"{label}: {100 * share:.0f} %", file=sys.stderr, flush=True)

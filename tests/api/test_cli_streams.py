@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -18,7 +21,19 @@ LIGHTSTAGE = [sys.executable, "-m", "api.cli"]
 def test_help_lists_the_verbs_of_the_design(run):
     outcome = run("--help")
     assert outcome.code == 0
-    for verb in ("demo", "import", "plan", "capture", "fit", "relight", "evaluate", "bench"):
+    for verb in (
+        "demo",
+        "import",
+        "plan",
+        "capture",
+        "simulate",
+        "rig",
+        "calibrate",
+        "fit",
+        "relight",
+        "evaluate",
+        "bench",
+    ):
         assert f"\n  {verb} " in outcome.stdout
     assert "serve" not in outcome.stdout
 
@@ -76,6 +91,38 @@ def test_ctrl_c_inside_a_compiled_kernel_is_an_interruption(capsys, monkeypatch)
     assert capsys.readouterr() == ("", "lightstage: interrupted\n")
 
 
+def swallow_ctrl_c() -> None:
+    """What trimesh does with Ctrl-C while it is imported."""
+    with contextlib.suppress(BaseException):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+
+
+def test_ctrl_c_that_a_library_swallows_while_it_is_imported_still_interrupts(capsys):
+    done = []
+
+    def command():
+        swallow_ctrl_c()
+        with console.progress("step"):
+            done.append("began")
+
+    assert console.exit_code(command) == 130
+    assert not done
+    assert capsys.readouterr().err == "lightstage: interrupted\n"
+    assert console.exit_code(lambda: None) == 0
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_ctrl_c_that_is_swallowed_in_mid_step_interrupts_at_the_next_progress(capsys):
+    def command():
+        with console.progress("step") as progress:
+            swallow_ctrl_c()
+            progress(0.5)
+            raise AssertionError("went on")
+
+    assert console.exit_code(command) == 130
+
+
 def test_debugging_lets_the_failure_through(monkeypatch):
     monkeypatch.setenv("LIGHTSTAGE_DEBUG", "1")
 
@@ -101,7 +148,8 @@ def test_console_script_starts_without_the_heavy_libraries():
 def test_plain_python_has_the_verbs_by_their_names():
     code = "import api; print([getattr(api, name).__name__ for name in api.__all__])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == str(["bench", "capture", "demo", "evaluate", "fit", "import_", "plan", "relight"])
+    assert done.stdout.strip() == str(api.__all__)
+    assert {"capture", "check_rig", "fit", "import_", "simulate"} <= set(api.__all__)
     with pytest.raises(AttributeError, match="no attribute 'serve'"):
         api.serve  # noqa: B018
 

@@ -18,9 +18,10 @@ from typing import Final
 
 from drivers import grbl_controller as keys
 from drivers.grbl_controller import GrblController
+from drivers.grbl_device import GrblDevice
 from drivers.grbl_words import Report
 from stage.clock import Clock
-from stage.devices import Arrival, OpenedByWith
+from stage.devices import Arrival
 from stage.errors import DeviceError
 from stage.rig import GrblMotion, GrblSlide, GrblTurn
 
@@ -36,8 +37,10 @@ SAME_SHARE: Final = 1e-3
 """Settings and rig may differ by so much in speed and acceleration; GRBL keeps three decimals."""
 
 
-class GrblAxes(OpenedByWith):
+class GrblAxes(GrblDevice):
     """The axes of a controller: a `stage.devices.AxisGroup`.
+
+    Opening homes them where that is needed; once closed the motors hold as setting $1 has it.
 
     Parameters
     ----------
@@ -52,43 +55,19 @@ class GrblAxes(OpenedByWith):
     def __init__(
         self, motion: GrblMotion, *, controller: GrblController | None = None, clock: Clock | None = None
     ) -> None:
+        super().__init__("the axes are", controller or GrblController(motion.port, motion.baudrate, clock=clock))
         self._motion = motion
-        self._controller = controller or GrblController(motion.port, motion.baudrate, clock=clock)
         self._clock = self._controller.clock
         self._joints = motion.joints
         self._tolerances = [
             tolerance * _scale(joint) for tolerance, joint in zip(motion.tolerances, motion.joints, strict=True)
         ]
         self._indices = [AXES.index(joint.axis) for joint in motion.joints]
-        self._in_use = False
-        self._session = 0
-
-    @property
-    def name(self) -> str:
-        """Device and port."""
-        return self._controller.name
 
     @property
     def limits(self) -> tuple[tuple[float, float], ...]:
         """Least and greatest value per joint, radians or metres."""
         return self._motion.limits
-
-    def open(self) -> None:
-        """Connect, check that the controller can do what the rig asks of it, and home it where that is needed."""
-        if self._in_use and self._controller.is_open:
-            return
-        self._controller.open(self)
-        self._in_use = True
-        try:
-            self._make_ready()
-        except BaseException:
-            self.close()
-            raise
-
-    def close(self) -> None:
-        """Let go of the controller; the motors hold as its setting $1 has it."""
-        self._in_use = False
-        self._controller.close(self)
 
     def make_safe(self) -> None:
         """Come to rest without losing the position; a lamp on the same controller goes out where axes were moving."""
@@ -107,13 +86,11 @@ class GrblAxes(OpenedByWith):
 
     # Getting ready
 
+    def _prepare(self) -> None:
+        self._make_ready()
+
     def _make_ready(self) -> Report:
-        if not self._in_use:
-            raise DeviceError(f"{self.name}: the axes are not open; open the device first")
-        self._controller.connect()
-        if self._session != self._controller.session:
-            self._check()
-            self._session = self._controller.session
+        self._connect()
         report = self._controller.recover()
         if self._controller.position_known:
             return report

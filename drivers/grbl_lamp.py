@@ -16,8 +16,9 @@ from typing import Final
 
 from drivers import grbl_controller as keys
 from drivers.grbl_controller import GrblController
+from drivers.grbl_device import GrblDevice
+from drivers.levels import require_levels
 from stage.clock import Clock
-from stage.devices import OpenedByWith
 from stage.errors import DeviceError
 from stage.rig import SpindleLight
 
@@ -29,8 +30,8 @@ RESENDS: Final = 2
 """How often a line that has shown no effect is sent again."""
 
 
-class GrblSpindleLamp(OpenedByWith):
-    """A lamp dimmed by the spindle PWM of a controller: a `stage.devices.Lamp` of one emitter.
+class GrblSpindleLamp(GrblDevice):
+    """A lamp dimmed by the spindle PWM of a controller: a `stage.devices.Lamp` of one emitter, dark once it is open.
 
     Parameters
     ----------
@@ -45,39 +46,19 @@ class GrblSpindleLamp(OpenedByWith):
     def __init__(
         self, light: SpindleLight, *, controller: GrblController | None = None, clock: Clock | None = None
     ) -> None:
-        self._controller = controller or GrblController(light.port, light.baudrate, clock=clock)
-        self._in_use = False
-        self._session = 0
-
-    @property
-    def name(self) -> str:
-        """Device and port."""
-        return self._controller.name
+        super().__init__("the lamp is", controller or GrblController(light.port, light.baudrate, clock=clock))
 
     @property
     def emitters(self) -> int:
         """One."""
         return 1
 
-    def open(self) -> None:
-        """Connect, check that the spindle output can dim a lamp, and go dark."""
-        if self._in_use and self._controller.is_open:
-            return
-        self._controller.open(self)
-        self._in_use = True
-        try:
-            self.dark()
-        except BaseException:
-            self.close()
-            raise
-
     def close(self) -> None:
         """Go dark where the controller is still there, and let go of it."""
         if self._in_use and self._controller.is_open:
             with suppress(DeviceError):
                 self.dark()
-        self._in_use = False
-        self._controller.close(self)
+        super().close()
 
     def make_safe(self) -> None:
         """Go dark, where the lamp is in use; see `dark`."""
@@ -101,10 +82,7 @@ class GrblSpindleLamp(OpenedByWith):
 
     def set_levels(self, levels: Sequence[float]) -> tuple[float, ...]:
         """See `stage.devices.Lamp.set_levels`; the PWM has 256 levels."""
-        if len(levels) != 1:
-            raise DeviceError(f"{self.name}: expected 1 level, got {len(levels)}; nothing was lit")
-        if not 0 <= levels[0] <= 1:  # refuses NaN too
-            raise DeviceError(f"{self.name}: levels go from 0 to 1, got {list(levels)}; nothing was lit")
+        require_levels(self.name, levels, self.emitters)
         self._connect()
         self._controller.recover()
         step = round(levels[0] * PWM_STEPS)
@@ -115,13 +93,8 @@ class GrblSpindleLamp(OpenedByWith):
             self._spin(f"M3S{speed:.3f}", speed)
         return (step / PWM_STEPS,)
 
-    def _connect(self) -> None:
-        if not self._in_use:
-            raise DeviceError(f"{self.name}: the lamp is not open; open the device first")
-        self._controller.connect()
-        if self._session != self._controller.session:
-            self._check()
-            self._session = self._controller.session
+    def _prepare(self) -> None:
+        self.dark()
 
     def _check(self) -> None:
         settings = self._controller.settings

@@ -10,6 +10,8 @@ from stage.errors import DeviceError
 def require_levels(name: str, levels: Sequence[float], emitters: int) -> None:
     """Raise `DeviceError` where there is not one level from 0 to 1 per emitter."""
     if len(levels) != emitters:
-        raise DeviceError(f"{name}: expected {emitters} levels, got {len(levels)}; nothing was lit")
+        raise DeviceError(
+            f"{name}: expected {emitters} level{'s' * (emitters != 1)}, got {len(levels)}; nothing was lit"
+        )
     if not all(0 <= level <= 1 for level in levels):  # refuses NaN too
         raise DeviceError(f"{name}: levels go from 0 to 1, got {list(levels)}; nothing was lit")

@@ -3,48 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Self
 
-from drivers.frame_check import FrameCheck
 from drivers.ptp_ip_pipe import PORT, PtpIpPipe
 from drivers.ptp_pipe import ANSWER_TIMEOUT_S, PtpPipe, PtpRefusedError, TruncatedTransferError
-from drivers.ptp_protocol import JPEG, SESSION_NOT_OPEN, STORE_FULL, Event
+from drivers.ptp_protocol import JPEG, SESSION_NOT_OPEN, STORE_FULL, Event, ObjectInfo
 from drivers.ptp_session import PtpSession
 from drivers.ptp_usb_pipe import PtpUsbPipe, find_camera
-from stage.clock import Clock, SystemClock
-from stage.devices import CapturedFrame, OpenedByWith
+from drivers.still_camera import CAPTURE_TIMEOUT_S, NoPictureError, Shot, StillCamera, StoredFile
+from stage.clock import Clock
 from stage.errors import DeviceError, InputError
 from stage.rig import PtpIp, PtpUsb
 
 TICKS_PER_S = 10_000
 """ExposureTime counts tenths of a millisecond."""
-EXPOSURE_MATCH = 0.02
-"""Cameras round: 1/60 s is 166 or 167 ticks, so the nearest offered time within this share is what was meant."""
 EVENT_GRACE_S = 1.0
 """Silence for so long after the exposure means that an event was lost, and the file is looked for on the card."""
-CAPTURE_TIMEOUT_S = 15.0
-"""Beyond the exposure itself."""
-RELINK_PAUSES_S = (0.5, 1.0, 1.5)
-"""A camera that wakes up takes about a second to be on its wire again."""
-SHOTS = 2
-"""A picture that does not come, comes twice or is exposed wrongly is taken once more."""
 
 
-class _NoPictureError(DeviceError):
-    """The camera took a release, and nothing came of it."""
-
-
-@dataclass
-class _Shot:
-    """How far one release has come; outlives the session that it began in."""
-
-    ticks: int
-    started_s: float | None = None
-    known: set[int] = field(default_factory=set)
-
-
-class PtpCamera(OpenedByWith):
+class PtpCamera(StillCamera[int, int]):
     """A camera on a wire: a `stage.devices.FrameCamera`. Made by `over_usb` or `over_ip`.
 
     Parameters
@@ -70,18 +48,13 @@ class PtpCamera(OpenedByWith):
         clock: Clock | None = None,
         capture_timeout_s: float = CAPTURE_TIMEOUT_S,
     ) -> None:
-        self._find, self._where, self._iso = find, where, iso
-        self._clock = clock or SystemClock()
-        self._capture_timeout_s = capture_timeout_s
-        self._in_use = False
-        self._session: PtpSession | None = None
-        self._name = f"camera {where}"
+        super().__init__(f"camera {where}", "INITIATE_CAPTURE", clock, capture_timeout_s)
+        self._find_pipe, self._where, self._iso = find, where, iso
+        self._open_session: PtpSession | None = None
         self._offered: tuple[int, ...] | range = ()
-        self._ticks: int | None = None
-        self._known: set[int] = set()
         self._in_doubt = False
+        self._given_up_s = 0.0  # when the last exposure that was begun is over, should it come to be given up
         """Whether a picture that was released and given up may still come."""
-        self._check = FrameCheck()
 
     @classmethod
     def over_usb(
@@ -122,140 +95,98 @@ class PtpCamera(OpenedByWith):
         return cls(find, f"at {host}:{address[1]}", device.iso, clock=clock, capture_timeout_s=capture_timeout_s)
 
     @property
-    def name(self) -> str:
-        """Device and wire, and its model once that is known."""
-        return self._name
+    def _session(self) -> PtpSession:
+        assert self._open_session is not None, "used before `_link`"
+        return self._open_session
 
-    def open(self) -> None:
-        """Find the camera, claim it, open a session, and read what it offers."""
-        self._link()
-        self._in_use = True
+    def _link(self) -> None:
+        if self._open_session is not None:
+            return
+        session = PtpSession(self._find_pipe(self._name), self._where, self._clock)
+        try:
+            if self._iso is not None:
+                session.set_sensitivity(self._iso)
+            self._known = session.handles()
+        except BaseException:
+            session.end()
+            raise
+        self._open_session, self._name, self._metadata = session, session.name, session.metadata
+        self._offered, self._setting = session.exposure.allowed, session.exposure.value
 
-    def close(self) -> None:
-        """End the session and let go of the camera; never raises."""
-        self._in_use = False
-        session, self._session = self._session, None
+    def _unlink(self) -> None:
+        session, self._open_session = self._open_session, None
+        if session is not None:
+            session.abandon()
+
+    def _end(self) -> None:
+        session, self._open_session = self._open_session, None
         if session is not None:
             session.end()
 
-    def make_safe(self) -> None:
-        """Do nothing: a camera neither moves nor shines, and every exposure here ends by itself."""
+    def _has_answered(self, error: DeviceError) -> bool:
+        if isinstance(error, PtpRefusedError):
+            return error.response != SESSION_NOT_OPEN
+        return isinstance(error, NoPictureError | TruncatedTransferError)
 
-    def require_exposure(self, exposure_s: float) -> None:
-        """Raise `InputError`, naming the nearest, where the camera does not offer an exposure time."""
-        self._exposure_ticks(exposure_s)
+    def _nearest(self, exposure_s: float) -> tuple[int, float]:
+        ticks = min(self._offered, key=lambda offered: abs(offered - exposure_s * TICKS_PER_S))
+        return ticks, ticks / TICKS_PER_S
 
-    def capture(self, exposure_s: float) -> CapturedFrame:
-        """Expose once and download the file, then delete it from the camera.
+    def _set_exposure(self, setting: int) -> None:
+        self._session.set_exposure(setting)
 
-        A busy camera is asked again for some seconds, a torn download is repeated, and a file that is not announced is
-        looked for on the card. Where the wire fails or the camera falls asleep it is connected once more, for which it
-        has some seconds, and goes on where it was. A picture that does not come, has the bytes of the one before, or
-        tells another exposure time is taken once more.
+    def _release(self, shot: Shot[int, int]) -> list[int]:
+        self._drain()
+        if self._in_doubt:
+            # a picture that was given up must be on the card before that is listed, or it could be taken for this one
+            self._clock.sleep(max(self._given_up_s + EVENT_GRACE_S - self._clock.now(), 0.0))
+            self._known = self._session.handles()
+        shot.started_s = self._session.release(self._note_other_files)
+        shot.known, self._in_doubt = set(self._known), True
+        self._given_up_s = shot.started_s + shot.exposure_s
+        return self._await_files(shot)
 
-        Raises
-        ------
-        InputError
-            For an exposure time that the camera does not offer; the sentence names the nearest.
-        DeviceError
-            Where the camera refuses, stops answering, or delivers no such picture.
-        """
-        ticks = self._exposure_ticks(exposure_s)
-        fault = ""
-        for _ in range(SHOTS):
-            try:
-                frame = self._shoot(_Shot(ticks))
-            except _NoPictureError as error:
-                fault = str(error)
-                continue
-            wrong = self._check.fault(frame.data, frame.exposure_s)
-            if wrong is None:
-                return frame
-            fault = f"{self.name}: after INITIATE_CAPTURE {wrong}; switch it off and on, and check its settings"
-            self._ticks = None  # whatever the camera has made of it
-        raise DeviceError(fault)
+    def _find(self, shot: Shot[int, int]) -> list[int]:
+        return self._new_files(shot) or self._await_files(shot)
 
-    def _shoot(self, shot: _Shot) -> CapturedFrame:
-        try:
-            return self._take(self._link(), shot)
-        except (_NoPictureError, TruncatedTransferError):
-            raise
-        except DeviceError as error:
-            if isinstance(error, PtpRefusedError) and error.response != SESSION_NOT_OPEN:
-                raise
-            # in mid-transaction the camera and we disagree on what comes next; a new session settles that
-            self._unlink()
-            try:
-                return self._take(self._relink(), shot)
-            except _NoPictureError:
-                raise
-            except DeviceError as again:
-                if not isinstance(again, PtpRefusedError):
-                    self._unlink()
-                raise error from again
-
-    def _take(self, session: PtpSession, shot: _Shot) -> CapturedFrame:
-        found: list[int] = []
-        if shot.started_s is None:
-            self._release(session, shot)
-        else:  # announced in the session before
-            found = self._new_files(session, shot)
-        handles = found or self._await_files(session, shot)
-        assert shot.started_s is not None
-        announced_s = self._clock.now()
-        infos = {handle: session.info(handle) for handle in handles}
-        # a camera set to RAW and JPEG files both: the RAW is the measurement
-        wanted = min(handles, key=lambda handle: infos[handle].format == JPEG)
-        data = session.download(wanted, infos[wanted])
-        downloaded_s, self._in_doubt = self._clock.now(), False
-        kept = {handle for handle in handles if not session.delete(handle)}
-        self._known = (self._known - set(handles)) | kept  # the picture is safe here; there it only takes room
-        metadata = {**session.metadata, "captured": infos[wanted].captured}
-        if kept:
-            metadata["left_on_card"] = ", ".join(infos[handle].name for handle in sorted(kept))
-        return CapturedFrame(
-            data=data,
-            name=infos[wanted].name,
-            exposure_s=shot.ticks / TICKS_PER_S,
-            started_s=shot.started_s,
-            expose_s=announced_s - shot.started_s,
-            download_s=downloaded_s - announced_s,
-            metadata=metadata,
+    def _stored(self, key: int) -> StoredFile:
+        session = self._session
+        info = session.info(key)
+        return StoredFile(
+            path=info.name,
+            is_jpeg=info.format == JPEG,
+            download=partial(self._download, key, info),
+            delete=partial(session.delete, key),
+            metadata={"captured": info.captured},
         )
 
-    def _release(self, session: PtpSession, shot: _Shot) -> None:
-        if shot.ticks != self._ticks:
-            session.set_exposure(shot.ticks)
-            self._ticks = shot.ticks
-        self._drain(session)
-        if self._in_doubt:
-            self._known = session.handles()
-        shot.started_s = session.release(lambda: self._note_other_files(session))
-        shot.known, self._in_doubt = set(self._known), True
+    def _download(self, handle: int, info: ObjectInfo) -> bytes:
+        data = self._session.download(handle, info)
+        self._in_doubt = False
+        return data
 
-    def _note_other_files(self, session: PtpSession) -> None:
+    def _note_other_files(self) -> None:
         """What a busy camera was busy with may be on its card by now: it is not the picture that is asked for."""
-        self._drain(session)
-        self._known = session.handles()
+        self._drain()
+        self._known = self._session.handles()
 
-    @staticmethod
-    def _drain(session: PtpSession) -> None:
-        while session.event(0.001) is not None:
+    def _drain(self) -> None:
+        while self._session.event(0.001) is not None:
             pass  # left over from an earlier capture
 
-    def _await_files(self, session: PtpSession, shot: _Shot) -> list[int]:
+    def _await_files(self, shot: Shot[int, int]) -> list[int]:
         """Handles of the picture's files, announced or found."""
         announced: list[int] = []
         complete = False
-        left_s = shot.ticks / TICKS_PER_S + self._capture_timeout_s
+        left_s = shot.exposure_s + self._capture_timeout_s
         while left_s > 0 and not (announced and complete):
             # the wire waits in a time of its own, real where it is a network: so what is waited for is counted here
             begun_s, patience_s = self._clock.now(), min(left_s, EVENT_GRACE_S)
-            event = session.event(patience_s)
+            event = self._session.event(patience_s)
             if event is None:
                 left_s -= patience_s
                 exposed = left_s < self._capture_timeout_s
-                if exposed and (found := announced or self._new_files(session, shot)):
+                if exposed and (found := announced or self._new_files(shot)):
                     return found
                 continue
             left_s -= max(self._clock.now() - begun_s, 0.001)
@@ -265,57 +196,14 @@ class PtpCamera(OpenedByWith):
             if code == Event.OBJECT_ADDED and values and values[0] not in shot.known:
                 announced.append(values[0])
             complete = complete or code == Event.CAPTURE_COMPLETE
-        if found := announced or self._new_files(session, shot):
+        if found := announced or self._new_files(shot):
             return found
-        raise _NoPictureError(
+        raise NoPictureError(
             f"{self.name}: INITIATE_CAPTURE was accepted, but no picture came; check focus, lens and card"
         )
 
-    @staticmethod
-    def _new_files(session: PtpSession, shot: _Shot) -> list[int]:
+    def _new_files(self, shot: Shot[int, int]) -> list[int]:
         try:
-            return sorted(session.handles() - shot.known)
+            return sorted(self._session.handles() - shot.known)
         except PtpRefusedError:  # busy, say
             return []
-
-    def _link(self) -> PtpSession:
-        """The open session; that of a camera in use is opened again where it was lost."""
-        if self._session is None:
-            session = PtpSession(self._find(self._name), self._where, self._clock)
-            try:
-                if self._iso is not None:
-                    session.set_sensitivity(self._iso)
-                self._known = session.handles()
-            except BaseException:
-                session.end()
-                raise
-            self._session, self._name = session, session.name
-            self._offered, self._ticks = session.exposure.allowed, session.exposure.value
-        return self._session
-
-    def _relink(self) -> PtpSession:
-        deadline = self._clock.now() + sum(RELINK_PAUSES_S)
-        for pause_s in RELINK_PAUSES_S:
-            try:
-                return self._link()
-            except DeviceError:
-                if self._clock.now() >= deadline:
-                    raise
-            self._clock.sleep(pause_s)
-        return self._link()
-
-    def _unlink(self) -> None:
-        session, self._session = self._session, None
-        if session is not None:
-            session.abandon()
-
-    def _exposure_ticks(self, exposure_s: float) -> int:
-        if not self._in_use:
-            raise DeviceError(f"{self.name}: it is not open; open it first")
-        wanted = exposure_s * TICKS_PER_S
-        nearest = min(self._offered, key=lambda ticks: abs(ticks - wanted))
-        if not abs(nearest - wanted) <= EXPOSURE_MATCH * wanted:
-            raise InputError(
-                f"exposure_s: the camera offers no {exposure_s:g} s; the nearest is {nearest / TICKS_PER_S:g} s"
-            )
-        return nearest

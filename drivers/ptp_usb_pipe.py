@@ -10,12 +10,9 @@ from __future__ import annotations
 import errno
 import math
 import time
-from collections.abc import Callable
-from contextlib import suppress
-from typing import Any, TypeVar
+from typing import Any
 
-import usb.core
-import usb.util
+from usb.util import ENDPOINT_IN, ENDPOINT_OUT, ENDPOINT_TYPE_INTR
 
 from drivers.ptp_pipe import ANSWER_TIMEOUT_S, TRANSFER_TIMEOUT_S, PtpPipe, Reply
 from drivers.ptp_protocol import (
@@ -28,9 +25,9 @@ from drivers.ptp_protocol import (
     parameters,
     read_parameters,
 )
+from drivers.usb_device import UsbError, UsbInterface, Wanted, find_device
 from stage.errors import DeviceError
 
-T = TypeVar("T")
 STILL_IMAGE = (6, 1, 1)
 """Class, subclass and protocol of the interface."""
 DEVICE_RESET = 0x66
@@ -65,41 +62,16 @@ def find_camera(name: str, backend: Any, vendor_id: int | None, product_id: int 
     DeviceError
         Where there is none, or more than one.
     """
-    wanted = {"idVendor": vendor_id, "idProduct": product_id}
-    try:
-        found = list(
-            usb.core.find(
-                find_all=True,
-                backend=backend,
-                custom_match=lambda device: any(_is_still_image(i) for configuration in device for i in configuration),
-                **{key: value for key, value in wanted.items() if value is not None},
-            )
-        )
-    except usb.core.NoBackendError as error:
-        raise DeviceError(f"{name}: libusb is missing; install the package libusb-1.0-0") from error
-    except usb.core.USBError as error:
-        raise DeviceError(f"{name}: cannot look for cameras: {error}; check cable and permissions") from error
-    if serial is not None:
-        found = [device for device in found if _serial_number(device) == serial]
-    if not found:
-        raise DeviceError(
-            f"{name}: none found; connect it, switch it on, and check that it is set to PTP or PC control"
-        )
-    if len(found) > 1:
-        which = ", ".join(f"{device.idVendor:04x}:{device.idProduct:04x}" for device in found)
-        raise DeviceError(f"{name}: {len(found)} found ({which}); give ids or serial in the rig's camera")
-    return found[0]
-
-
-def _serial_number(device: Any) -> str | None:
-    try:
-        return str(device.serial_number)
-    except (usb.core.USBError, ValueError):
-        return None
-
-
-def _is_still_image(interface: Any) -> bool:
-    return (interface.bInterfaceClass, interface.bInterfaceSubClass, interface.bInterfaceProtocol) == STILL_IMAGE
+    wanted = Wanted(
+        "camera",
+        "camera.device",
+        vendor_id,
+        product_id,
+        serial,
+        interface=STILL_IMAGE,
+        where_none="connect it, switch it on, and check that it is set to PTP or PC control",
+    )
+    return find_device(wanted, backend, name)
 
 
 class PtpUsbPipe(PtpPipe):
@@ -108,7 +80,7 @@ class PtpUsbPipe(PtpPipe):
     Parameters
     ----------
     device : usb.core.Device
-        As found by `find_cameras`.
+        As found by `find_camera`.
     name : str
         What errors call it.
     answer_timeout_s : float
@@ -116,36 +88,41 @@ class PtpUsbPipe(PtpPipe):
     """
 
     def __init__(self, device: Any, name: str, answer_timeout_s: float = ANSWER_TIMEOUT_S) -> None:
+        self._usb = UsbInterface(device, name, STILL_IMAGE, _ADVICE)
         super().__init__(name, answer_timeout_s)
-        self._device = device
-        self._interface: Any = None
+
+    @property
+    def name(self) -> str:
+        """What errors call it; set anew once its model is known."""
+        return self._usb.name
+
+    @name.setter
+    def name(self, name: str) -> None:
+        self._usb.name = name
 
     def open(self) -> None:
         """Claim the interface for this program alone."""
-        self._guard("opening it", self._claim)
+        self._usb.open()
+        self._out, self._in = self._usb.endpoint(ENDPOINT_OUT), self._usb.endpoint(ENDPOINT_IN)
+        self._events = self._usb.endpoint(ENDPOINT_IN, ENDPOINT_TYPE_INTR)
 
     def close(self) -> None:
         """Release the interface; never raises."""
-        with suppress(usb.core.USBError):  # a camera that is gone already is what was wanted
-            usb.util.dispose_resources(self._device)
+        self._usb.close()
 
     def reset(self) -> None:
         """Abandon whatever transaction the camera may still be in."""
-        number, timeout_ms = self._interface.bInterfaceNumber, _ms(self._answer_timeout_s)
-        self._guard(
-            "a device reset",
-            lambda: self._device.ctrl_transfer(CLASS_OUT_TO_INTERFACE, DEVICE_RESET, 0, number, None, timeout_ms),
-        )
+        number, timeout_s = self._usb.number, self._answer_timeout_s
+        self._usb.tell("a device reset", CLASS_OUT_TO_INTERFACE, DEVICE_RESET, 0, number, b"", timeout_s)
 
     def event(self, timeout_s: float) -> tuple[int, tuple[int, ...]] | None:
         """Code and parameters of the next event, or None where none comes in time."""
-        endpoint = self._endpoint(usb.util.ENDPOINT_IN, usb.util.ENDPOINT_TYPE_INTR)
         try:
-            raw = bytes(endpoint.read(EVENT_BYTES, _ms(timeout_s)))
-        except usb.core.USBTimeoutError:
-            return None
-        except usb.core.USBError as error:
-            raise self._failure("waiting for an event", error) from error
+            raw = self._usb.receive("waiting for an event", self._events, EVENT_BYTES, timeout_s)
+        except UsbError as error:
+            if error.number == errno.ETIMEDOUT:
+                return None
+            raise
         if len(raw) < HEADER.size:
             return None
         _, _, code, _ = HEADER.unpack_from(raw)
@@ -164,43 +141,19 @@ class PtpUsbPipe(PtpPipe):
             raise DeviceError(f"{self.name}: {operation.name} was answered by container type {kind}; try again")
         return Reply(code, answered, read_parameters(payload), received, complete)
 
-    def _claim(self) -> None:
-        try:
-            configuration = self._device.get_active_configuration()
-        except usb.core.USBError:
-            self._device.set_configuration()
-            configuration = self._device.get_active_configuration()
-        self._interface = next(i for i in configuration if _is_still_image(i))
-        number = self._interface.bInterfaceNumber
-        with suppress(NotImplementedError):  # not every system has kernel drivers to detach
-            if self._device.is_kernel_driver_active(number):
-                self._device.detach_kernel_driver(number)
-        usb.util.claim_interface(self._device, number)
-
-    def _endpoint(self, direction: int, kind: int) -> Any:
-        return usb.util.find_descriptor(
-            self._interface,
-            custom_match=lambda e: (
-                usb.util.endpoint_direction(e.bEndpointAddress) == direction
-                and usb.util.endpoint_type(e.bmAttributes) == kind
-            ),
-        )
-
     def _send(self, operation: Operation, packed: bytes) -> None:
-        endpoint = self._endpoint(usb.util.ENDPOINT_OUT, usb.util.ENDPOINT_TYPE_BULK)
-        self._guard(f"sending {operation.name}", lambda: endpoint.write(packed, _ms(self._answer_timeout_s)))
+        self._usb.send(f"sending {operation.name}", self._out, packed, self._answer_timeout_s)
 
     def _receive(self, operation: Operation) -> tuple[int, int, int, bytes, bool]:
         """Type, code, transaction, payload of the next container, and whether all of it came."""
-        endpoint = self._endpoint(usb.util.ENDPOINT_IN, usb.util.ENDPOINT_TYPE_BULK)
-        packet = endpoint.wMaxPacketSize
-        timeout_ms, deadline = _ms(self._silence_s(operation)), time.monotonic() + TRANSFER_TIMEOUT_S
+        packet = self._in.wMaxPacketSize
+        silence_s, deadline = self._silence_s(operation), time.monotonic() + TRANSFER_TIMEOUT_S
 
         def read(size: int) -> bytes:
             if time.monotonic() > deadline:
                 raise DeviceError(f"{self.name}: {operation.name} took over {TRANSFER_TIMEOUT_S:g} s; check the cable")
             wanted = math.ceil(size / packet) * packet
-            return bytes(self._guard(f"the answer to {operation.name}", lambda: endpoint.read(wanted, timeout_ms)))
+            return self._usb.receive(f"the answer to {operation.name}", self._in, wanted, silence_s)
 
         raw = bytearray(read(HEADER.size) or read(HEADER.size))  # an empty packet may close the transfer before
         if len(raw) < HEADER.size:
@@ -214,17 +167,3 @@ class PtpUsbPipe(PtpPipe):
             raw += part
             ended = len(part) < wanted
         return kind, code, number, bytes(raw[HEADER.size : length]), len(raw) >= length
-
-    def _guard(self, what: str, act: Callable[[], T]) -> T:
-        try:
-            return act()
-        except usb.core.USBError as error:
-            raise self._failure(what, error) from error
-
-    def _failure(self, what: str, error: Any) -> DeviceError:
-        advice = _ADVICE.get(error.errno or 0, "check the cable, then try again")
-        return DeviceError(f"{self.name}: {what} failed: {error}; {advice}")
-
-
-def _ms(seconds: float) -> int:
-    return max(1, math.ceil(seconds * 1000))

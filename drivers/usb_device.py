@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import errno
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -67,6 +67,8 @@ class Wanted:
         Strings that the device gives, where its ids are shared with other makes.
     interface : tuple of int
         Class, subclass and protocol of one of its interfaces, or the first of these.
+    where_none : str
+        What to do where none is found.
     """
 
     device: str
@@ -77,6 +79,7 @@ class Wanted:
     maker: str | None = None
     product: str | None = None
     interface: tuple[int, ...] = ()
+    where_none: str = "check cable and power (lsusb lists what is plugged in)"
 
     @property
     def name(self) -> str:
@@ -84,34 +87,42 @@ class Wanted:
         return f"{self.device}{f' {self.serial}' if self.serial else ''} over USB"
 
 
-def find_device(wanted: Wanted, backend: Any = None) -> Any:
+def find_device(wanted: Wanted, backend: Any = None, name: str = "") -> Any:
     """Find the one `usb.core.Device` that is wanted.
+
+    Parameters
+    ----------
+    wanted : Wanted
+        What it must be.
+    backend : usb.backend.IBackend, optional
+        Where pyusb finds devices; the system's libusb where none is given.
+    name : str, optional
+        What errors call it, where more is known of it than is wanted.
 
     Raises
     ------
     DeviceError
         Where there is none, there are several, none may be asked what it is, or libusb is missing.
     """
+    name = name or wanted.name
     ids = {"idVendor": wanted.vendor_id, "idProduct": wanted.product_id}
     given = {key: value for key, value in ids.items() if value is not None}
     try:
         devices = list(usb.core.find(find_all=True, backend=backend, custom_match=_has(wanted.interface), **given))
     except usb.core.NoBackendError as error:
-        raise DeviceError(f"{wanted.name}: libusb is missing; install the package libusb-1.0-0") from error
+        raise DeviceError(f"{name}: libusb is missing; install the package libusb-1.0-0") from error
     except usb.core.USBError as error:
-        raise _failure(wanted.name, "looking for it", error) from error
+        raise _failure(name, "looking for it", error) from error
     refusals: list[Any] = []
     found = [device for device in devices if _says(device, wanted, refusals)]
     if len(found) > 1:
         which = ", ".join(f"{d.idVendor:04x}:{d.idProduct:04x} serial {_serial(d)}" for d in found)
-        raise DeviceError(
-            f"{wanted.name}: {len(found)} found ({which}); say which one by {wanted.field}.serial in the rig"
-        )
+        raise DeviceError(f"{name}: {len(found)} found ({which}); say which one by {wanted.field}.serial in the rig")
     if found:
         return found[0]
     if refusals:
-        raise _failure(wanted.name, "asking what it is", refusals[0]) from refusals[0]
-    raise DeviceError(f"{wanted.name}: none found; check cable and power (lsusb lists what is plugged in)")
+        raise _failure(name, "asking what it is", refusals[0]) from refusals[0]
+    raise DeviceError(f"{name}: none found; {wanted.where_none}")
 
 
 class UsbInterface:
@@ -125,10 +136,15 @@ class UsbInterface:
         What errors call it.
     kind : tuple of int
         Class, subclass and protocol of the interface, or the first of these; the first interface where empty.
+    advice : mapping of int to str, optional
+        What to do next, by the `errno` of a failure, where the device needs other words than most.
     """
 
-    def __init__(self, device: Any, name: str, kind: tuple[int, ...] = ()) -> None:
+    def __init__(
+        self, device: Any, name: str, kind: tuple[int, ...] = (), advice: Mapping[int, str] | None = None
+    ) -> None:
         self.name = name
+        self._advice = advice
         self._device, self._kind = device, kind
         self._descriptor: Any = None
 
@@ -146,18 +162,18 @@ class UsbInterface:
         with suppress(usb.core.USBError):  # a device that is gone already is what was wanted
             usb.util.dispose_resources(self._device)
 
-    def bulk_endpoint(self, direction: int) -> Any:
-        """The bulk endpoint of `usb.util.ENDPOINT_IN` or `usb.util.ENDPOINT_OUT`; None where there is none."""
+    def endpoint(self, direction: int, kind: int = usb.util.ENDPOINT_TYPE_BULK) -> Any:
+        """The endpoint of `usb.util.ENDPOINT_IN` or `usb.util.ENDPOINT_OUT`; None where there is none."""
         return usb.util.find_descriptor(
             self._descriptor,
             custom_match=lambda e: (
                 usb.util.endpoint_direction(e.bEndpointAddress) == direction
-                and usb.util.endpoint_type(e.bmAttributes) == usb.util.ENDPOINT_TYPE_BULK
+                and usb.util.endpoint_type(e.bmAttributes) == kind
             ),
         )
 
     def send(self, what: str, endpoint: Any, data: bytes, timeout_s: float) -> None:
-        """Write to a bulk endpoint; `what` says in errors what it was for."""
+        """Write to an endpoint; `what` says in errors what it was for."""
         self._guard(what, lambda: endpoint.write(data, _ms(timeout_s)))
 
     def receive(self, what: str, endpoint: Any, size: int, timeout_s: float) -> bytes:
@@ -193,12 +209,13 @@ class UsbInterface:
         try:
             return act()
         except usb.core.USBError as error:
-            raise _failure(self.name, what, error) from error
+            raise _failure(self.name, what, error, self._advice) from error
 
 
-def _failure(name: str, what: str, error: Any) -> UsbError:
+def _failure(name: str, what: str, error: Any, advice: Mapping[int, str] | None = None) -> UsbError:
     number = error.errno or 0
-    return UsbError(f"{name}: {what} failed: {error}; {_ADVICE.get(number, 'check the cable, then try again')}", number)
+    next_step = (advice or _ADVICE).get(number, "check the cable, then try again")
+    return UsbError(f"{name}: {what} failed: {error}; {next_step}", number)
 
 
 def _is(interface: Any, kind: tuple[int, ...]) -> bool:

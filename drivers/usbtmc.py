@@ -64,8 +64,8 @@ class TmcPipe:
     def __init__(self, usb: UsbInterface, clock: Clock) -> None:
         self._usb, self._clock = usb, clock
         self._tag = 0
-        self._out = usb.bulk_endpoint(ENDPOINT_OUT)
-        self._in = usb.bulk_endpoint(ENDPOINT_IN)
+        self._out = usb.endpoint(ENDPOINT_OUT)
+        self._in = usb.endpoint(ENDPOINT_IN)
 
     def write(self, message: bytes) -> None:
         """Send one whole message."""

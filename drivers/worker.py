@@ -61,6 +61,12 @@ class Worker:
         running = self._running
         return running is not None and running.process.poll() is None
 
+    @property
+    def pid(self) -> int | None:
+        """Number of the process; None where it was closed or never started."""
+        running = self._running
+        return None if running is None else running.process.pid
+
     def start(self, timeout_s: float) -> None:
         """Start the process and build the object in it; does nothing where it is alive.
 

@@ -199,6 +199,7 @@ def _light(
         position = placed.positions[i]
         if placed.range_share[i] <= LARGEST_RANGE_SHARE:
             update["position"] = tuple(position.tolist())
+            update.pop("disagreement_deg")  # the spheres see a near light in different directions
             update["position_std_m"] = float(np.linalg.eigvalsh(placed.std_m[i]).max())
             direction = position / np.linalg.norm(position)
             if left_out is not None and np.isfinite(left_out[i]):

@@ -67,7 +67,8 @@ class FoundLight(CalibrationPart):
     residual_px, residual_deg : float or None
         RMS over spheres, between found and predicted highlight, and between reflected ray and light.
     disagreement_deg : float or None
-        Largest angle between the directions that two spheres give by themselves; a near light makes them differ.
+        Largest angle between the directions that two spheres give by themselves; of a light without a position, since
+        a near one is seen in different directions.
     leave_one_out_deg : float or None
         Largest change of direction when one of three or more spheres is left out.
     note : str

@@ -13,6 +13,7 @@ from simulators.usb_camera import StillImageFunction
 from stage.errors import DeviceError, InputError
 from stage.rig import PtpUsb
 from tests.drivers.still_bench import RawWorld, StillBench
+from tests.drivers.usb_bench import LockedUsb
 
 
 @pytest.fixture
@@ -63,13 +64,28 @@ def test_a_session_that_somebody_left_open_is_taken_over(bench: StillBench) -> N
 def test_which_of_two_cameras(bench: StillBench) -> None:
     other = PtpResponder(RawWorld(bench.clock.now), serial_number="LS0002")
     bench.usb.plug_in(StillImageFunction(other))
-    with pytest.raises(DeviceError, match="2 found"):
+    several = (
+        r"2 found \(1209:\w+ serial LS0001, .* serial LS0002\); say which one by camera\.device\.serial in the rig"
+    )
+    with pytest.raises(DeviceError, match=several):
         bench.photographer().open()
     for serial in ("LS0001", "LS0002"):
         with camera_of(bench, vendor_id=0x1209, serial=serial) as camera:
             assert camera.capture(0.02).metadata["serial_number"] == serial
     with pytest.raises(DeviceError, match="none found; connect it"):
         camera_of(bench, vendor_id=0x04A9).open()
+
+
+def test_errors_advise_in_words_for_a_camera(bench: StillBench) -> None:
+    with camera_of(bench), pytest.raises(DeviceError, match=r"another program has it; close that one \(a file manager"):
+        camera_of(bench).open()
+    locked = LockedUsb(bench.clock)
+    locked.plug_in(bench.function)
+    bench.usb = locked
+    with pytest.raises(DeviceError, match=r"permission denied; add a udev rule for the camera, or your user to"):
+        camera_of(bench).open()
+    with pytest.raises(DeviceError, match=r"asking what it is failed: .*; permission denied; add a udev rule"):
+        camera_of(bench, serial="LS0001").open()
 
 
 def test_a_camera_that_cannot_be_controlled_says_so() -> None:

@@ -261,8 +261,8 @@ def test_the_watchdog_stops_the_arm_when_the_driver_is_killed(bench: Bench) -> N
     arm.open()
 
     def kill() -> None:
-        assert arm._worker._running is not None
-        os.kill(arm._worker._running.process.pid, signal.SIGKILL)
+        assert arm._worker.pid is not None
+        os.kill(arm._worker.pid, signal.SIGKILL)
 
     bench.in_a_moment(kill)
     killed = time.monotonic()

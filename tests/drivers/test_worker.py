@@ -98,9 +98,10 @@ def test_calls_run_in_another_process(worker: Worker) -> None:
     assert worker.alive
     assert worker.call("greet", "you", timeout_s=5.0) == "hello you"
     pid = worker.call("pid", timeout_s=5.0)
-    assert pid != os.getpid()
+    assert pid == worker.pid != os.getpid()
     worker.close()
     worker.close()
+    assert worker.pid is None
     assert gone(pid, 0.1)
 
 

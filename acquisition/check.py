@@ -91,7 +91,8 @@ def check(
             try:
                 camera.require_exposure(exposure)
             except InputError as error:
-                raise InputError(f"plan: exposures_s: {str(error).removeprefix('exposure_s: ')}") from None
+                field = "plan: exposures_s" if plan.exposures_s else "rig: camera.device.exposure_s"
+                raise InputError(f"{field}: {str(error).removeprefix('exposure_s: ')}") from None
     shots = ready.shots() if shots is None else shots
     joints, move_s = tuple(rig.motion.home if start is None else start), 0.0
     known = start is not None

@@ -345,7 +345,7 @@ def capture(
     record = open_record(out, ready, resume=resume)
     if (out / "dataset.json").exists() and not record.missing:
         return open_dataset(out)
-    check(ready, rig, out, shots=record.missing, camera=camera, start=motion.positions())
+    check(plan, rig, out, shots=record.missing, camera=camera, start=motion.positions())
     session = Session(
         record,
         rig,

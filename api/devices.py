@@ -41,6 +41,10 @@ if TYPE_CHECKING:
     from simulators.world import RigWorld
 
 SIMULATED = "sim:"
+REPLAY_IS_SIMULATED = (
+    "rig: camera.device.driver: replay rehearses on a simulated stage; "
+    "let the addresses of motion and light begin with 'sim:'"
+)
 
 
 class Workshop:
@@ -112,10 +116,7 @@ class Workshop:
                 from drivers.replay_camera import ReplayCamera
 
                 if self._world is None:
-                    raise InputError(
-                        "rig: camera.device.driver: replay rehearses on a simulated stage; "
-                        "let the addresses of motion and light begin with 'sim:'"
-                    )
+                    raise InputError(REPLAY_IS_SIMULATED)
                 return ReplayCamera(device, DatasetPhotographs(device), lit_in(self._world), clock=self._clock)
         raise AssertionError(self._rig.camera.device)
 
@@ -239,10 +240,12 @@ def on_its_wires(rig: Rig) -> Iterator[Wires]:
 
 
 def simulation_seed(rig: Rig) -> int | None:
-    """Seed of a simulated rig, None for a real one; raises `InputError` where the two are mixed."""
+    """Seed of a simulated rig, None for a real one; raises `InputError` where the two are mixed, or replay is real."""
     addresses = dict(rig.addresses().values())
     simulated = {field: address for field, address in addresses.items() if address.startswith(SIMULATED)}
     if not simulated:
+        if isinstance(rig.camera.device, Replay):
+            raise InputError(REPLAY_IS_SIMULATED)  # before a real device is opened
         return None
     if len(set(addresses.values())) > 1:
         shown = ", ".join(f"{field} {address!r}" for field, address in addresses.items())

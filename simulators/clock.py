@@ -91,5 +91,5 @@ class RunningClock(SystemClock):
                 left = self._appointments[0][0] - self.now() if self._appointments else None
                 if left is not None and left <= 0:
                     return heapq.heappop(self._appointments)[2]
-                self._changed.wait(left)
+                self._changed.wait(None if left is None else min(left, threading.TIMEOUT_MAX))
             return None

@@ -72,7 +72,7 @@ class ControlSession(Session):
             if isinstance(data, dict) and "command" in data:
                 return {"ok": True, **self._obey(data["command"])}
             plan_faults(read_script([text], "control"), self._stage.boards, self._timeline, source="control")
-        except (ValueError, InputError) as error:
+        except (ValueError, RecursionError, InputError) as error:
             return {"ok": False, "error": str(error)}
         return {"ok": True}
 

@@ -9,7 +9,10 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+from pydantic import TypeAdapter, ValidationError
+
 from stage.errors import InputError
+from stage.validation import shortened
 
 
 class WireFault(Enum):
@@ -116,13 +119,23 @@ class FaultBoard:
         self._accepts |= other._accepts
 
     def check(self, name: str, **options: Any) -> None:
-        """Raise `InputError` where there is no such fault, or it has no such options."""
+        """Raise `InputError` where there is no such fault, or it has no such options, or not of such values."""
         if name not in self._faults:
             raise InputError(f"fault: expected one of {', '.join(self.names)}, got {name!r}")
+        signature = inspect.signature(self._faults[name], eval_str=True)
         try:
-            inspect.signature(self._faults[name]).bind(**options)
+            signature.bind(**options)
         except TypeError as error:
             raise InputError(f"options: the fault {name!r} does not take them ({error}), got {options}") from None
+        for option, value in options.items():
+            wanted = signature.parameters.get(option)
+            if wanted is None or wanted.annotation is inspect.Parameter.empty:
+                continue
+            try:
+                TypeAdapter(wanted.annotation).validate_python(value, strict=True)
+            except ValidationError as error:
+                fault = error.errors(include_url=False)[0]["msg"]
+                raise InputError(f"{option}: {fault[:1].lower()}{fault[1:]}, got {shortened(value)}") from None
         if name in self._accepts:
             self._accepts[name](**options)
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from types import TracebackType
-from typing import Self
+from typing import Annotated, Self
+
+from pydantic import Field
 
 from simulators.faults import FaultBoard
 from simulators.usb_backend import VirtualUsb
 from simulators.wiring import Part, SimulationClock, Wiring, World
 from stage.rig import FixedDome, Replay, Rig
+
+Duration = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class SimulatedStage:
@@ -75,7 +79,7 @@ class SimulatedStage:
             if part.lose_power is not None:
                 part.lose_power()
 
-        def unplug(for_s: float | None = None) -> None:
+        def unplug(for_s: Duration | None = None) -> None:
             # from the clock, because a fault may strike in the thread that the plug has to wait for
             self._clock.at(self._clock.now(), pull)
             if for_s is not None:

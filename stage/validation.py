@@ -33,7 +33,8 @@ def first_fault(error: ValidationError, tags: Collection[str] = ()) -> str:
             return f"{field}.{_discriminator(problem)}: is required and missing"
         case "union_tag_invalid":
             expected = str(problem["ctx"]["expected_tags"]).replace("'", "")
-            return f"{field}.{_discriminator(problem)}: expected one of {expected}, got {problem['ctx']['tag']!r}"
+            got = shortened(problem["ctx"]["tag"])
+            return f"{field}.{_discriminator(problem)}: expected one of {expected}, got {got}"
         case "finite_number":
             return f"{field}: NaN and infinity are not allowed"
         case "value_error":

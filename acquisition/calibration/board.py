@@ -53,6 +53,9 @@ class Board(CalibrationPart):
             raise ValueError(
                 f"dictionary: expected one of OpenCV's, such as 4X4_50 or 5X5_100, got {self.dictionary!r}"
             )
+        needed, known = self.squares[0] * self.squares[1] // 2, len(self._words().bytesList)
+        if needed > known:
+            raise ValueError(f"dictionary: {self.dictionary} has {known} markers, and such a board shows {needed}")
         return self
 
     @classmethod
@@ -85,8 +88,10 @@ class Board(CalibrationPart):
         return np.asarray(self._drawn().generateImage(size, marginSize=0, borderBits=1), dtype=np.uint8)
 
     def _drawn(self) -> cv2.aruco.CharucoBoard:
-        words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
-        return cv2.aruco.CharucoBoard(self.squares, self.square_m, self.marker_m, words)
+        return cv2.aruco.CharucoBoard(self.squares, self.square_m, self.marker_m, self._words())
+
+    def _words(self) -> cv2.aruco.Dictionary:
+        return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -185,8 +185,10 @@ def outlines_of_mask(mask: ArrayLike, source: str) -> list[Outline]:
         if patch.sum() < np.pi * SMALLEST_PX**2:
             continue
         alone = np.where(binary_dilation(patch, iterations=2), values, 0)
-        rim = max(find_contours(alone, 0.5), key=len)[:, ::-1]  # type: ignore[no-untyped-call]
-        outline = through(rim)
+        rims = find_contours(alone, 0.5)  # type: ignore[no-untyped-call]
+        if not rims:
+            raise InputError(f"{source}: mask: covers the whole picture; mark spheres only")
+        outline = through(max(rims, key=len)[:, ::-1])
         if outline.rms_px > ROUND_SHARE * outline.radius:
             raise InputError(
                 f"{source}: mask: the patch about u {outline.centre[0]:.0f}, v {outline.centre[1]:.0f} is not round "

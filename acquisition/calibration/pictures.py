@@ -63,9 +63,13 @@ class PictureFolder:
     ) -> None:
         if not folder.is_dir():
             raise InputError(f"{folder}: {'is a file, expected a folder' if folder.exists() else 'no such folder'}")
+        try:
+            matching = list(folder.glob(pattern))
+        except (ValueError, NotImplementedError):
+            raise InputError(f"{folder}: pictures: expected a pattern such as '*.png', got {pattern!r}") from None
         left_out = {path.resolve() for path in without}
         self._paths = sorted(
-            (p for p in folder.glob(pattern) if p.suffix.lower() in _SUFFIXES and p.resolve() not in left_out),
+            (p for p in matching if p.suffix.lower() in _SUFFIXES and p.resolve() not in left_out),
             key=lambda path: _natural(path.name),
         )
         if not self._paths:

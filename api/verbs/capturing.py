@@ -10,7 +10,7 @@ from acquisition.developing import Geometry
 from acquisition.plan import CapturePlan, read_plan
 from acquisition.session import capture as take
 from api.devices import open_bench
-from api.rig_file import calibration_files, read_rig
+from api.rig_file import calibration_files, in_rig, read_rig
 from api.surface_source import read_surface
 from api.verbs.importing import describe
 from reconstruct.evaluate import same_camera
@@ -66,7 +66,8 @@ def capture(
                 progress=progress,
             )
     except InputError as error:
-        raise InputError(_named(str(error), rig=rig, plan=plan)) from None
+        word, _, rest = str(error).partition(": ")
+        raise InputError(f"{plan}: {rest}" if word == "plan" else in_rig(str(error), rig)) from None
     return {"out": str(out), **describe(dataset)}
 
 
@@ -89,9 +90,3 @@ def planned_surface(plan: CapturePlan, rig: Rig, *, source: Path) -> Geometry:
     if surface.camera is None or not same_camera(surface.camera, camera):
         raise InputError(f"{field}: {place!r} was not seen by the rig's camera; plan for its own surface")
     return surface.geometry
-
-
-def _named(sentence: str, **files: Path) -> str:
-    """The sentence with the file in place of the word that stands for it."""
-    word, _, rest = sentence.partition(": ")
-    return f"{files[word]}: {rest}" if word in files else sentence

@@ -13,7 +13,7 @@ import numpy as np
 
 from acquisition.radiance import RawFrame, read_frame
 from api.devices import Workshop, on_its_wires
-from api.rig_file import read_calibrated_rig
+from api.rig_file import in_rig, read_calibrated_rig
 from stage.clock import Clock
 from stage.devices import AxisGroup, Device, FrameCamera, Lamp
 from stage.errors import DeviceError, InputError
@@ -77,6 +77,17 @@ def check_rig(path: Path, *, move: bool = False) -> list[Finding]:
         For a description that is wrong; nothing is opened then.
     """
     rig = read_calibrated_rig(path)
+    try:
+        findings = _findings(rig, move)
+    except InputError as error:
+        raise InputError(in_rig(str(error), path)) from None
+    for finding in findings:
+        if finding.trouble is not None:
+            finding.trouble = in_rig(finding.trouble, path)
+    return findings
+
+
+def _findings(rig: Rig, move: bool) -> list[Finding]:
     with on_its_wires(rig if move else rig.at_rest()) as wires, ExitStack() as stack:
         plugged, clock = wires.rig, wires.clock
         workshop = Workshop(plugged, clock, wires.usb, wires.world)
@@ -159,7 +170,10 @@ def _blink(lamp: Lamp, clock: Clock) -> dict[str, Any]:
 
 def _take(camera: FrameCamera, rig: Rig) -> dict[str, Any]:
     device = rig.camera.device
-    camera.require_exposure(device.exposure_s)
+    try:
+        camera.require_exposure(device.exposure_s)
+    except InputError as error:
+        raise InputError(f"rig: camera.device.{error}") from None
     frame = camera.capture(device.exposure_s)
     raw = read_frame(frame.data, frame.name, transfer=rig.camera.device.transfer)
     facts = {

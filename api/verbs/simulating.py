@@ -22,7 +22,7 @@ from simulators.stage_sim import SimulatedStage
 from simulators.tcp import TcpPort
 from simulators.world import RigWorld
 from stage.errors import InputError
-from stage.rig import Rig
+from stage.rig import Replay, Rig
 
 IN_PROCESS = {"ptp-usb": "ptp-ip, gphoto2 or opencv", "udmx": "enttec-dmx-usb-pro", "scpi-usbtmc": "enttec-dmx-usb-pro"}
 """Drivers of USB devices, which can be simulated in the driver's own process only, and what can be used instead."""
@@ -62,10 +62,12 @@ def simulate(
     Raises
     ------
     InputError
-        For a rig whose devices cannot be reached from another process, or a bad script.
+        For a rig whose devices cannot be reached from another process, a bad script, or a port that is taken.
     """
     description = read_rig(rig)
     _require_reachable(description, rig)
+    if rig_out is not None and rig_out.exists() and rig_out.samefile(rig):
+        raise InputError(f"{rig_out}: output: is the description that is read; it would be gone after the simulation")
     planned = [] if faults is None else read_script(_lines(faults), str(faults))
     stopped = threading.Event()
     with ExitStack() as stack:
@@ -74,9 +76,12 @@ def simulate(
         world = RigWorld(rig=description, seed=seed, clock=clock.now)
         stage = stack.enter_context(SimulatedStage(world, description, clock))
         plan_faults(planned, stage.boards, clock, source=str(faults))
-        control = stack.enter_context(
-            TcpPort(lambda: ControlSession(stage, world, clock, stopped.set), port=control_port)
-        )
+        try:
+            control = stack.enter_context(
+                TcpPort(lambda: ControlSession(stage, world, clock, stopped.set), port=control_port)
+            )
+        except OSError:
+            raise InputError(f"control-port: {control_port} is taken already; 0 takes any free one") from None
         found = {"control": control.address} | {role: address for role, (_, address) in stage.rig.addresses().items()}
         if rig_out is not None:
             with staged_file(rig_out) as temporary:
@@ -103,6 +108,11 @@ def _on_signals(act: Callable[[], None]) -> Iterator[None]:
 
 
 def _require_reachable(rig: Rig, path: Path) -> None:
+    if isinstance(rig.camera.device, Replay):
+        raise InputError(
+            f"{path}: camera.device.driver: replay needs no other process; "
+            f"capture with addresses that begin with {SIMULATED!r}"
+        )
     drivers = {"light.driver": rig.light.driver, "camera.device.driver": rig.camera.device.driver}
     for field, driver in drivers.items():
         if driver in IN_PROCESS:

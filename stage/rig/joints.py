@@ -13,6 +13,9 @@ from pydantic import Field, PositiveFloat, model_validator
 
 from stage.rig.parts import SLACK, RigPart
 
+MOST_SERVO_TURNS = 256
+"""Range of the X-series' extended position mode: 1,048,575 of 4,096 steps per turn (e-manual, Goal Position)."""
+
 
 class Joint(RigPart):
     """One joint, turning or sliding."""
@@ -161,6 +164,16 @@ class ServoJoint(RevoluteJoint):
     servo_id: int = Field(ge=0, le=252)
     zero_deg: float = 180.0
     direction: Literal[1, -1] = 1
+
+    @model_validator(mode="after")
+    def _on_the_scale(self) -> Self:
+        most = max(abs(self.machine_value(limit)) for limit in self.limits)
+        if not most < MOST_SERVO_TURNS * 2 * math.pi:
+            raise ValueError(
+                f"limits_deg: a servo counts {MOST_SERVO_TURNS} turns to either side at most, "
+                f"got {list(self.limits_deg)} with zero_deg {self.zero_deg:g}"
+            )
+        return self
 
     def machine_value(self, joint: float) -> float:
         """Angle on the servo's own scale, radians, that gives a joint angle."""

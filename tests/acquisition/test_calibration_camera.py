@@ -88,6 +88,7 @@ def test_too_few_views_and_parallel_views_are_refused(through_lens: tuple[list[N
         ("2x5,30mm,22mm,4X4_50", "squares: expected at least 3 x 3"),
         ("7x5,30mm,32mm,4X4_50", "marker_m: a marker is smaller"),
         ("7x5,30mm,22mm,9X9_50", "dictionary: expected one of OpenCV's"),
+        ("999x999,30mm,22mm,4X4_50", "dictionary: 4X4_50 has 50 markers, and such a board shows 499000"),
     ],
 )
 def test_a_board_that_cannot_be_is_refused(text: str, fault: str) -> None:

@@ -149,6 +149,8 @@ def test_what_is_no_sphere_is_refused_in_one_sentence() -> None:
         outlines_of_mask(square, "m.png")
     with pytest.raises(InputError, match=r"m\.png: mask: marks no sphere"):
         outlines_of_mask(np.zeros((20, 20)), "m.png")
+    with pytest.raises(InputError, match=r"m\.png: mask: covers the whole picture"):
+        outlines_of_mask(np.ones((60, 80)), "m.png")
     with pytest.raises(InputError, match="radius of at least 6 pixels"):
         given_circle(10, 10, 3)
     with pytest.raises(InputError, match="less than 50 % of the rim"):

@@ -54,6 +54,11 @@ def test_lights_that_the_rig_cannot_make(tmp_path: Path, light: Light, reason: s
 def test_exposures_that_the_camera_lacks(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"^plan: exposures_s: the camera offers no 30 s"):
         check(CapturePlan.choosing(LIGHTS, exposures_s=[0.1, 30]), RIG, tmp_path, camera=FakeStage().camera)
+    slow = RIG.camera.model_copy(update={"device": RIG.camera.device.model_copy(update={"exposure_s": 30.0})})
+    with pytest.raises(InputError, match=r"^rig: camera\.device\.exposure_s: the camera offers no 30 s"):
+        check(
+            CapturePlan.choosing(LIGHTS), RIG.model_copy(update={"camera": slow}), tmp_path, camera=FakeStage().camera
+        )
 
 
 def test_a_disk_that_is_too_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,6 +52,14 @@ def test_a_folder_of_pictures_gives_directions(run: Run, photographs: Path, tmp_
     assert "positions_count" in outcome.stdout
 
 
+@pytest.mark.parametrize("pattern", ["/etc/*", ""])
+def test_a_pattern_that_no_file_can_match_is_one_sentence(
+    refused: Callable[..., str], photographs: Path, tmp_path: Path, pattern: str
+) -> None:
+    said = refused("calibrate", "chrome", photographs / "images", "--out", tmp_path / "l", "--pictures", pattern)
+    assert f"{photographs / 'images'}: pictures: expected a pattern" in said
+
+
 def test_the_camera_is_measured_and_lights_go_by_it(run: Run, photographs: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     (tmp_path / "board").mkdir()

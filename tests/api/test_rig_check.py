@@ -81,3 +81,51 @@ def test_on_real_ports_a_dead_lamp_and_a_missing_device_are_found(run, tmp_path)
         found = by_role(run("rig", "check", stage.rig, "--json").json)
         assert "no such port" in found["motion"]["trouble"]
         assert found["camera"]["ok"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("name: a\nname: b\n", "the key 'name' is there twice"),
+        ("name: 2020-13-45\n", "month must be in 1..12"),
+        ("name: " + "9" * 5000, "4300 digits"),
+        ("? [a]\n: 1\n", "unhashable"),
+    ],
+)
+def test_yaml_that_says_nothing_sure_is_refused(refused, tmp_path, text, words):
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(text)
+    said = refused("rig", "check", rig)
+    assert f"{rig}: is not YAML" in said
+    assert words in said
+
+
+@pytest.mark.parametrize(
+    ("role", "change", "words"),
+    [
+        ("light", {"port": "sim:3"}, "a simulated stage is one world"),
+        ("motion", {"port": "/dev/none"}, "a simulated stage is one world"),
+    ],
+)
+def test_addresses_of_two_worlds_are_refused_with_the_file(refused, described, role, change, words):
+    description = yaml.safe_load(described.read_text())
+    description[role] |= change
+    described.write_text(yaml.safe_dump(description))
+    assert f"{described}: {words}" in refused("rig", "check", described)
+
+
+def test_a_replay_is_refused_before_a_real_device_is_opened(refused, described):
+    description = yaml.safe_load(described.read_text())
+    description["motion"]["port"] = description["light"]["port"] = "/dev/none"
+    description["camera"]["device"] = {"driver": "replay", "folder": "photographs", "exposure_s": 0.05}
+    described.write_text(yaml.safe_dump(description))
+    assert f"{described}: camera.device.driver: replay rehearses" in refused("rig", "check", described)
+
+
+def test_an_exposure_that_the_camera_lacks_is_named_by_file_and_field(run, described):
+    description = yaml.safe_load(described.read_text())
+    description["camera"]["device"]["exposure_s"] = 1e6
+    described.write_text(yaml.safe_dump(description))
+    outcome = run("rig", "check", described, "--json")
+    assert outcome.code == 1
+    assert by_role(outcome.json)["camera"]["trouble"].startswith(f"{described}: camera.device.exposure_s: ")

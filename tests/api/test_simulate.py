@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 from pathlib import Path
 
 import numpy as np
@@ -93,3 +94,26 @@ def test_addresses_are_told_to_people_and_machines(tmp_path: Path) -> None:
         assert described["motion"]["port"] == stage.started["motion"]
         assert described["camera"]["device"]["port"] == stage.started["camera"]
         assert json.dumps(stage.started)
+
+
+def test_the_description_that_is_read_is_not_written_over(refused, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(yaml.safe_dump(reachable_rig()))
+    assert refused("simulate", "--rig", rig, "--rig-out", rig).startswith(f"lightstage: {rig}: output: ")
+    assert rig.exists()
+
+
+def test_a_replay_is_not_simulated_for_others(refused, tmp_path: Path) -> None:
+    description = reachable_rig()
+    description["camera"]["device"] = {"driver": "replay", "folder": "photographs", "exposure_s": 0.05}
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(yaml.safe_dump(description))
+    assert f"{rig}: camera.device.driver: replay needs no other" in refused("simulate", "--rig", rig)
+
+
+def test_a_control_port_that_is_taken_is_one_sentence(refused, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(yaml.safe_dump(reachable_rig()))
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert f"control-port: {port} is taken" in refused("simulate", "--rig", rig, "--control-port", port)

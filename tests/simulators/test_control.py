@@ -71,12 +71,20 @@ def test_every_device_has_faults_and_they_can_be_planned(desk):
         ({"device": "light", "fault": "boom"}, "control: light: fault: expected one of"),
         ({"fault": "boom"}, "control: line 1: device: is required"),
         ([1], "control: line 1: expected an object"),
+        ({"device": "light", "fault": "unplug", "for_s": "long"}, "control: light: for_s: "),
+        ({"device": "light", "fault": "unplug", "for_s": -1}, "control: light: for_s: "),
+        ({"device": "light", "fault": "silent", "times": "often"}, "control: light: times: "),
     ],
 )
 def test_a_bad_request_is_answered_by_a_sentence(desk, request_, words):
     answer = desk.ask(request_)
     assert not answer["ok"]
     assert answer["error"].startswith(words)
+
+
+def test_brackets_without_end_are_answered_too(desk):
+    answer = json.loads(desk.session.feed(b"[" * 60000 + b"\n"))
+    assert not answer["ok"]
 
 
 def test_any_split_of_the_bytes_gives_the_same_answers(desk):

@@ -78,6 +78,14 @@ def test_appointments_are_kept_in_order_with_the_clock_at_their_time() -> None:
     assert clock.now() == 5.0
 
 
+def test_an_appointment_beyond_all_time_keeps_a_running_clock_from_no_other() -> None:
+    clock, kept = RunningClock(), threading.Event()
+    clock.at(1e300, lambda: None)
+    clock.at(clock.now() + 0.01, kept.set)
+    assert kept.wait(5.0)
+    clock.close()
+
+
 def test_a_running_clock_keeps_appointments_and_forgets_them_when_closed() -> None:
 
     clock, kept = RunningClock(), threading.Event()

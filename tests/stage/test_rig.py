@@ -164,6 +164,8 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("motion.driver", ..., "motion.driver: is required and missing"),
         ("motion", {"driver": "fixed-dome"}, "light.emitters: a position_m for each is needed"),
         ("motion.joints.0.limits_deg", [10, 10], "motion.joints[0].limits_deg: the lower limit must be below"),
+        ("motion.joints.0.limits_deg", [0, 1e19], "motion.joints[0].limits_deg: a servo counts 256 turns"),
+        ("motion.joints.0.zero_deg", 1e300, "motion.joints[0].limits_deg: a servo counts 256 turns"),
         ("motion.joints.0.direction", 2, "motion.joints[0].direction: "),
         ("motion.joints.1.servo_id", 1, "motion.joints: each needs a servo of its own"),
         ("motion.joints.1", ..., "motion.joints: these kinematics have the joints"),
@@ -187,6 +189,12 @@ def test_what_is_wrong_with_a_rig_file_is_said_in_one_sentence(path: str, value:
         rig_from_mapping(changed(path, value), "my/rig.yaml")
     assert str(refusal.value).startswith(f"my/rig.yaml: {words}")
     assert "\n" not in str(refusal.value)
+
+
+def test_an_endless_name_of_a_driver_is_shortened() -> None:
+    with pytest.raises(InputError) as refusal:
+        rig_from_mapping(changed("light.driver", "x" * 1000), "rig.yaml")
+    assert len(str(refusal.value)) < 250
 
 
 @pytest.mark.parametrize("data", [None, [], "rig", 3])

@@ -25,7 +25,3 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("the reference photographs (../shared/data from the project's root) are not here")
     return folder
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--rig", metavar="rig.yaml", help="A real stage, for the tests that are marked 'hardware'.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -40,7 +40,7 @@ def response(
 
     with console.progress("calibrate response"):
         result = run(bracket, out, mask=mask, name=name, clipped_at=clipped_at)
-    write_result(result, json)
+    console.write_result(result, json)
 
 
 @calibrate.command()
@@ -50,7 +50,7 @@ def dark(frames: RawFiles, out: Out, name: Name = None, json: Json = False) -> N
 
     with console.progress("calibrate dark") as progress:
         result = run(frames, out, name=name, progress=progress)
-    write_result(result, json)
+    console.write_result(result, json)
 
 
 @calibrate.command()
@@ -71,7 +71,7 @@ def flat(
 
     with console.progress("calibrate flat") as progress:
         result = run(frames, out, dark=dark, rig=rig, light=light, plane=plane, name=name, progress=progress)
-    write_result(result, json)
+    console.write_result(result, json)
 
 
 @calibrate.command()
@@ -92,7 +92,7 @@ def white(
         result = run(
             dataset, out, albedo=albedo, plane=plane, lights=lights, exclude=exclude, name=name, progress=progress
         )
-    write_result(result, json)
+    console.write_result(result, json)
 
 
 Transfer = Annotated[
@@ -149,7 +149,7 @@ def chrome(
             name=name,
             progress=progress,
         )
-    write_result(result, json)
+    console.write_result(result, json)
 
 
 @calibrate.command()
@@ -187,7 +187,7 @@ def camera(
             name=name,
             progress=progress,
         )
-    write_result(result, json)
+    console.write_result(result, json)
 
 
 @calibrate.command()
@@ -202,12 +202,4 @@ def apply(
 
     with console.progress("calibrate apply"):
         result = run(calibration, dataset, out)
-    write_result(result, json)
-
-
-def write_result(result: dict[str, Any], as_json: bool) -> None:
-    """Print what was found, for machines or for people."""
-    if as_json:
-        console.write_json(result)
-    else:
-        console.write_facts({key: value for key, value in result.items() if value not in ([], {}, None)})
+    console.write_result(result, json)

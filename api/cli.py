@@ -73,7 +73,7 @@ def import_(
 
     with console.progress("import"):
         result = run(source, out, format=format, transfer=transfer, lp=lp)
-    _write(result, json)
+    console.write_result(result, json)
 
 
 @app.command()
@@ -112,7 +112,7 @@ def plan(
             target=target,
             progress=progress,
         )
-    _write(result, json)
+    console.write_result(result, json)
 
 
 @app.command()
@@ -130,7 +130,7 @@ def capture(
 
     with console.progress("capture") as progress:
         result = run(rig, plan, out, resume=resume, progress=progress)
-    _write(result, json)
+    console.write_result(result, json)
 
 
 @app.command()
@@ -150,7 +150,7 @@ def simulate(
     from api.verbs.simulating import simulate as run
 
     with run(rig, rig_out=rig_out, faults=faults, seed=seed, control_port=control_port) as (found, wait):
-        _write(found, json)
+        console.write_result(found, json)
         sys.stdout.flush()  # whoever started it reads the addresses from a pipe
         wait()
 
@@ -188,7 +188,7 @@ def fit(
 
     with console.progress(f"fit {model}") as progress:
         result = run(dataset, model, out, lights=lights, exclude=exclude, progress=progress)
-    _write(result, json)
+    console.write_result(result, json)
 
 
 @app.command()
@@ -250,14 +250,7 @@ def bench(
 
     with console.progress("bench") as progress:
         result = run(out, progress=progress)
-    _write(result, json)
-
-
-def _write(result: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        console.write_json(result)
-    else:
-        console.write_facts({key: value for key, value in result.items() if value not in ([], {}, None)})
+    console.write_result(result, json)
 
 
 def _write_rows(rows: list[dict[str, Any]]) -> None:

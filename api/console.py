@@ -137,6 +137,14 @@ def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
+def write_result(result: dict[str, Any], as_json: bool) -> None:
+    """Print what a verb found: one JSON value for machines, or for people what is not empty."""
+    if as_json:
+        write_json(result)
+    else:
+        write_facts({key: value for key, value in result.items() if value not in ([], {}, None)})
+
+
 def write_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """Print a table for people to stdout; the first column is text, the others are figures."""
     from rich.box import SIMPLE_HEAD

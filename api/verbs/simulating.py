@@ -14,7 +14,7 @@ import yaml
 
 from acquisition.dataset import staged_file
 from api.devices import SIMULATED
-from api.rig_file import read_rig
+from api.rig_file import calibration_files, read_rig
 from simulators.clock import RunningClock
 from simulators.control import ControlSession
 from simulators.fault_script import plan_faults, read_script
@@ -85,7 +85,10 @@ def simulate(
         found = {"control": control.address} | {role: address for role, (_, address) in stage.rig.addresses().items()}
         if rig_out is not None:
             with staged_file(rig_out) as temporary:
-                temporary.write_text(yaml.safe_dump(stage.rig.to_json(), sort_keys=False), encoding="utf-8")
+                # where the description is written to, the calibrations may not lie beside it
+                files = [str(file.resolve()) for file in calibration_files(description, rig)]
+                written = stage.rig.to_json() | {"calibrations": files}
+                temporary.write_text(yaml.safe_dump(written, sort_keys=False), encoding="utf-8")
             stack.callback(rig_out.unlink, missing_ok=True)  # its addresses end with the simulation
             found = {"rig": str(rig_out)} | found
         stack.enter_context(_on_signals(stopped.set))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 
 import numpy as np
@@ -243,6 +244,32 @@ def test_capture_writes_a_dataset_that_models_can_be_fitted_to(run, refused, rig
     # A finished capture is not taken twice, and another one does not overwrite it.
     assert run("capture", "--rig", rig, "--plan", plan, out, "--resume", "--json").json == outcome.json
     assert "--resume" in refused("capture", "--rig", rig, "--plan", plan, out)
+
+
+@pytest.mark.system
+def test_a_capture_applies_the_calibrations_of_its_rig_and_names_them(run, refused, tmp_path):
+    candidates = [light.to_json() for light in rig_lights(demo_rig(), source="rig")[:2]]
+    plan = {"schema": "lightstage-plan/1", "lights": [0, 1], "candidates": candidates, "exposures_s": [0.05, 0.1]}
+    plain = tmp_path / "plain.yaml"
+    plain.write_text(yaml.safe_dump(small_rig()))
+    with_dark = write_json(tmp_path / "with_dark.json", plan | {"dark_frames": 2})
+    assert run("capture", "--rig", plain, "--plan", with_dark, tmp_path / "first").code == 0
+    frames = sorted((tmp_path / "first" / "capture" / "raw").glob("*-dark-*"))
+    found = run("calibrate", "dark", *frames, "--out", tmp_path / "dark.json")
+    assert found.code == 0, found
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(yaml.safe_dump(small_rig() | {"calibrations": ["dark.json"]}))
+    without = write_json(tmp_path / "without.json", plan | {"dark_frames": 0})
+    assert run("capture", "--rig", rig, "--plan", without, tmp_path / "second").code == 0
+    [named] = open_dataset(tmp_path / "second").provenance["capture"]["calibrations"]
+    assert (named["kind"], named["file"]) == ("dark", "dark.json")
+    assert named["sha256"] == hashlib.sha256((tmp_path / "dark.json").read_bytes()).hexdigest()
+    assert named["residuals"]
+    first, second = (open_dataset(tmp_path / name).image(0) for name in ("first", "second"))
+    np.testing.assert_allclose(second.mean(), first.mean(), rtol=0.02)
+    rig.write_text(yaml.safe_dump(small_rig() | {"calibrations": ["dark.json", "dark.json"]}))
+    said = refused("capture", "--rig", rig, "--plan", without, tmp_path / "third")
+    assert "dark.json: kind: is a second calibration of kind 'dark'" in said
 
 
 @pytest.mark.system

@@ -89,8 +89,9 @@ def test_a_bad_fault_script_is_refused(refused, tmp_path: Path, script: str | No
 
 
 def test_addresses_are_told_to_people_and_machines(tmp_path: Path) -> None:
-    with simulation(tmp_path) as stage:
+    with simulation(tmp_path, reachable_rig() | {"calibrations": ["mine/dark.json"]}) as stage:
         described = yaml.safe_load(stage.rig.read_text())
+        assert described["calibrations"] == [str(tmp_path / "mine" / "dark.json")]  # which is read from anywhere
         assert described["motion"]["port"] == stage.started["motion"]
         assert described["camera"]["device"]["port"] == stage.started["camera"]
         assert json.dumps(stage.started)

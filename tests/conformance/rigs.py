@@ -25,6 +25,12 @@ GRBL = {
         {"axis": "Y", "limits_deg": [0, 90]},
     ],
 }
+GANTRY = {
+    "driver": "grbl",
+    "port": "sim:",
+    "kinematics": {"kind": "gantry", "origin_m": [-0.3, -0.3, 0.4]},
+    "joints": [{"axis": axis, "limits_m": [0.0, 0.6], "zero": -610} for axis in "XYZ"],
+}
 UR = {
     "driver": "ur",
     "host": "sim:",
@@ -60,6 +66,7 @@ SIMULATED: dict[str, Rig] = {
     "servos, DMX, PTP over USB": stage(DYNAMIXEL, ENTTEC, PTP_USB),
     "a dome on uDMX, PTP over a network": stage({"driver": "fixed-dome"}, UDMX, PTP_IP),
     "GRBL that moves and lights, PTP over USB": stage(GRBL, SPINDLE, PTP_USB),
+    "a gantry in metres, DMX, PTP over USB": stage(GANTRY, ENTTEC, PTP_USB),
     "a robot arm, DMX, PTP over USB": stage(UR, ENTTEC, PTP_USB),
     "servos, LED supply, gphoto2": stage(DYNAMIXEL, SUPPLY, GPHOTO2),
     "servos, DMX, video stream": stage(DYNAMIXEL, ENTTEC, STREAM),

@@ -79,6 +79,8 @@ def test_open_close_and_make_safe_from_any_state_any_number_of_times(
         device.close()
         device.close()
         device.make_safe()
+        if wires.world is not None:
+            assert not wires.world.light(wires.clock.now())[1].any()
 
 
 @pytest.mark.parametrize("role", ROLES)

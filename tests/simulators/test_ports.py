@@ -63,6 +63,7 @@ def test_unplugging_does_not_wait_for_a_host_that_never_reads() -> None:
         os.write(host, b"x")
         select.select([host], [], [], 1.0)
         port.unplug()
+        assert not os.path.lexists(port.path)
         os.close(host)
 
 

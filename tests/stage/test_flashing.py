@@ -158,7 +158,7 @@ def test_three_flashes_in_a_second_go_on_for_ever() -> None:
     clock = VirtualClock()
     guard = FlashGuard(RecordingLamp(clock), clock)
     for _ in range(30):
-        guard.set_level(1.0)
+        assert guard.set_level(1.0) == (1.0,)
         guard.dark()
         clock.sleep(0.334)
 

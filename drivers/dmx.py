@@ -9,8 +9,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 
-from drivers.levels import require_levels
+from drivers.levels import made_safe, require_levels
 from stage.clock import Clock
+from stage.cutoff import Cutoff
 from stage.devices import OpenedByWith
 from stage.rig import DmxEmitter
 
@@ -36,6 +37,7 @@ class DmxLamp(OpenedByWith):
     def __init__(self, emitters: Sequence[DmxEmitter], warm_up_s: float, clock: Clock) -> None:
         self._emitters, self._warm_up_s, self._clock = tuple(emitters), warm_up_s, clock
         self._in_use = False
+        self._cutoff = Cutoff(clock, lambda: made_safe(self.name))
 
     @property
     @abstractmethod
@@ -55,14 +57,14 @@ class DmxLamp(OpenedByWith):
         return len(self._emitters)
 
     def make_safe(self) -> None:
-        """Go dark, where the lamp is in use."""
-        if self._in_use:
-            self.dark()
+        """Go dark, where the lamp is in use, also in the middle of another thread's call, which then fails."""
+        with self._cutoff.stop():
+            if self._in_use:
+                self.dark()
 
     def dark(self) -> None:
         """All channels to zero."""
-        frame_s = self._show(bytes(CHANNELS))
-        self._clock.sleep(FRAMES_TO_SHOW * frame_s)
+        self._send(bytes(CHANNELS), 0.0)
 
     def set_level(self, level: float) -> tuple[float, ...]:
         """See `stage.devices.Lamp.set_level`."""
@@ -75,6 +77,11 @@ class DmxLamp(OpenedByWith):
         channels = bytearray(CHANNELS)
         for emitter, step in zip(self._emitters, steps, strict=True):
             channels[emitter.channel - 1] = step
-        frame_s = self._show(bytes(channels))
-        self._clock.sleep(FRAMES_TO_SHOW * frame_s + (self._warm_up_s if any(steps) else 0.0))
+        self._send(bytes(channels), self._warm_up_s if any(steps) else 0.0)
         return tuple(step / FULL for step in steps)
+
+    def _send(self, channels: bytes, warm_up_s: float) -> None:
+        with self._cutoff.call():
+            with self._cutoff.exchange():
+                frame_s = self._show(channels)
+            self._cutoff.sleep(FRAMES_TO_SHOW * frame_s + warm_up_s)

@@ -15,8 +15,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import NoReturn
 
 from drivers import dynamixel_table as table
@@ -27,19 +26,18 @@ from drivers.dynamixel_profile import profiles
 from drivers.dynamixel_table import RAD_PER_TICK
 from drivers.link import SerialLink
 from stage.clock import Clock, SystemClock
+from stage.cutoff import Cutoff, CutShortError
 from stage.devices import Arrival, OpenedByWith
 from stage.errors import DeviceError
 from stage.rig import DynamixelMotion, ServoJoint
 
 POLL_S = 0.05
+LAST_POLL_S = 0.01
+"""From when on a move should be over; every shot waits for that."""
 STALL_S = 1.0
 """A joint that is short of its goal and has not moved for so long is stuck."""
 GRACE_S = 2.0
 """Beyond twice the time that the profile takes, a move may last so much longer."""
-
-
-class _CutShortError(DeviceError):
-    """The move was ended by `make_safe` from another thread, which has stopped the joints."""
 
 
 class DynamixelChain(OpenedByWith):
@@ -88,9 +86,10 @@ class DynamixelChain(OpenedByWith):
         self._tolerance = max(1, round(tolerance_rad / RAD_PER_TICK))
         self._coordinated, self._torque_off_when_safe = coordinated, torque_off_when_safe
         self._in_use = self._prepared = False
-        self._lock = threading.RLock()  # held for one step of a move at a time, so that `make_safe` can come between
+        self._cutoff = Cutoff(
+            self._clock, lambda: f"{self.name}: the move was cut short to make the joints safe; move again when it is"
+        )
         self._one_move = threading.Lock()
-        self._stops = 0
 
     @classmethod
     def from_rig(cls, motion: DynamixelMotion, clock: Clock | None = None) -> DynamixelChain:
@@ -123,7 +122,7 @@ class DynamixelChain(OpenedByWith):
 
     def open(self) -> None:
         """Find every servo, check that it is fit to be moved, and switch its torque on."""
-        with self._lock:
+        with self._cutoff.call(), self._cutoff.exchange():
             if self._in_use and self._link.is_open:
                 return
             self._bus.open()
@@ -136,7 +135,7 @@ class DynamixelChain(OpenedByWith):
 
     def close(self) -> None:
         """Let go of the port. The servos keep their torque and hold the arm up."""
-        with self._lock:
+        with self._cutoff.stop(), self._cutoff.exchange():
             self._in_use = self._prepared = False
             self._bus.close()
 
@@ -148,26 +147,35 @@ class DynamixelChain(OpenedByWith):
         """
         if not self._in_use:
             return
-        self._stops += 1
-        with self._lock:
-            self._bus.open()
-            self._servos.hold()
+        with self._cutoff.stop():
+            with self._cutoff.exchange():
+                self._bus.open()
+                self._servos.hold()
             deadline = self._clock.now() + GRACE_S
-            while any(state[table.MOVING.name] for state in self._servos.look(table.PROGRESS).values()):
+            while self._moving():
                 if self._clock.now() > deadline:
                     raise self._link.failed("the joints do not come to rest", "switch the servo power off")
                 self._clock.sleep(POLL_S)
-            self._servos.disarm_watchdog()
-            if self._torque_off_when_safe:
-                self._prepared = False
-                self._servos.set_all(table.TORQUE_ENABLE, 0)
+            with self._cutoff.exchange():
+                self._servos.disarm_watchdog()
+                if self._torque_off_when_safe:
+                    self._prepared = False
+                    self._servos.set_all(table.TORQUE_ENABLE, 0)
 
     def positions(self) -> tuple[float, ...]:
         """Where the joints are now, as their encoders say."""
-        with self._lock:
+        with self._cutoff.exchange():
             if self._in_use:
                 self._bus.open()
             return self._angles(self._servos.look(table.PROGRESS))
+
+    def temperatures_c(self) -> dict[str, float]:
+        """Temperature of each servo by its name, degrees Celsius: Present Temperature(146)."""
+        with self._cutoff.exchange():
+            if self._in_use:
+                self._bus.open()
+            states = self._servos.look(table.CONDITION)
+        return {f"servo {servo}": float(state[table.PRESENT_TEMPERATURE.name]) for servo, state in states.items()}
 
     def move_to(self, targets: Sequence[float]) -> Arrival:
         """See `stage.devices.AxisGroup.move_to`; a joint settles to the nearest of 4096 encoder steps per turn.
@@ -175,43 +183,37 @@ class DynamixelChain(OpenedByWith):
         Where another thread has a move under way, this one begins after it.
         """
         goals = self._goals(targets)
-        ticket = self._stops  # a move that waits while the joints are made safe does not begin at all
-        with self._one_move:
-            return self._move(goals, ticket)
+        # a move that waits while the joints are made safe does not begin at all
+        with self._cutoff.call(), self._one_move:
+            return self._move(goals)
 
-    def _move(self, goals: dict[int, int], ticket: int) -> Arrival:
+    def _move(self, goals: dict[int, int]) -> Arrival:
         begun = self._clock.now()
-        with self._step(ticket):
+        with self._cutoff.exchange():
             self._ready()
             orders, expected_s = self._orders(goals)
         try:
-            with self._step(ticket):
+            with self._cutoff.exchange():
                 self._servos.start(orders)
-            self._watch(orders, begun + 2 * expected_s + GRACE_S, ticket)
-            with self._step(ticket):
+            self._watch(orders, self._clock.now() + expected_s, begun + 2 * expected_s + GRACE_S)
+            with self._cutoff.exchange():
                 self._servos.disarm_watchdog()
             arrived = self._clock.now()
-            self._clock.sleep(self._settle_s)
-            with self._step(ticket):
+            self._cutoff.sleep(self._settle_s)
+            with self._cutoff.exchange():
                 states = self._healthy_states()
             for servo in self._astray(orders, states):
                 raise self._stuck(servo, orders[servo], states[servo], "drifted off after settling")
-        except _CutShortError:
+        except CutShortError:
             raise
         except DeviceError as error:
             self._stop_after(error)
             raise
         return Arrival(self._angles(states), move_s=arrived - begun, settle_s=self._clock.now() - arrived)
 
-    @contextmanager
-    def _step(self, ticket: int) -> Iterator[None]:
-        """Have the bus to oneself for a step of a move, unless the move was ended by `make_safe`."""
-        with self._lock:
-            if self._stops != ticket:
-                raise _CutShortError(
-                    f"{self.name}: the move was cut short to make the joints safe; move again when it is"
-                )
-            yield
+    def _moving(self) -> bool:
+        with self._cutoff.exchange():
+            return any(state[table.MOVING.name] for state in self._servos.look(table.PROGRESS).values())
 
     def _ready(self) -> None:
         if self._in_use and not (self._prepared and self._link.is_open):
@@ -278,12 +280,12 @@ class DynamixelChain(OpenedByWith):
         orders = {s: (p.acceleration, p.velocity, goals[s]) for s, p in zip(self._ids, chosen, strict=True)}
         return orders, max(profile.duration_s for profile in chosen)
 
-    def _watch(self, orders: dict[int, Order], deadline: float, ticket: int) -> None:
+    def _watch(self, orders: dict[int, Order], expected: float, deadline: float) -> None:
         restarts = 0
         seen: dict[int, tuple[int, float]] = {}  # servo: position, and when it was last seen to change
         while True:
-            self._clock.sleep(POLL_S)
-            with self._step(ticket):
+            self._cutoff.sleep(min(POLL_S, max(expected - self._clock.now(), LAST_POLL_S)))
+            with self._cutoff.exchange():
                 states, now = self._servos.look(table.PROGRESS), self._clock.now()
                 untaken = self._servos.untaken(orders, states)
                 if untaken or any(state[ALERTED] for state in states.values()):
@@ -341,7 +343,7 @@ class DynamixelChain(OpenedByWith):
     def _stop_after(self, error: DeviceError) -> None:
         self._prepared = False
         try:
-            with self._lock:
+            with self._cutoff.exchange():
                 self._servos.hold()
                 self._servos.disarm_watchdog()
         except DeviceError as unsafe:

@@ -57,9 +57,10 @@ class ServoGroup:
         """Values of registers that include Realtime Tick(120), by which an answer to an older question is told."""
         asked = self._servos if servos is None else servos
         for _ in range(TRIES):
-            now = self._clock.now()
+            begun = self._clock.now()
             states = self._bus.read_all(asked, registers, tries)
-            stale = [servo for servo in asked if self._is_stale(servo, states[servo][table.REALTIME_TICK.name], now)]
+            span = begun, self._clock.now()
+            stale = [servo for servo in asked if self._is_stale(servo, states[servo][table.REALTIME_TICK.name], span)]
             if not stale:
                 return states
         raise self._link.failed(
@@ -146,11 +147,12 @@ class ServoGroup:
                 return
         raise self._link.failed(f"servos {moving} do not take the order to stop", "switch the servo power off")
 
-    def _is_stale(self, servo: int, tick: int, now: float) -> bool:
-        before, at = self._ticks.get(servo, (-1, now))
-        if tick == before and TICK_S < now - at < TICK_TURN_S:
+    def _is_stale(self, servo: int, tick: int, span: tuple[float, float]) -> bool:
+        asked, answered = span
+        before, at = self._ticks.get(servo, (-1, asked))
+        if tick == before and TICK_S < asked - at < TICK_TURN_S:
             return True
-        self._ticks[servo] = (tick, now)
+        self._ticks[servo] = (tick, answered)  # no earlier, or the next answer would seem to come later than it does
         return False
 
 

@@ -52,21 +52,23 @@ class EnttecLamp(DmxLamp):
 
     def open(self) -> None:
         """Take the port, make sure that a DMX USB Pro answers on it, and go dark."""
-        if self._in_use and self._link.is_open:
-            return
-        self._link.open()
-        try:
-            self.serial_number = self._request(GET_SERIAL, b"", 4)[::-1].hex()
-            self.dark()
-        except BaseException:
-            self._link.close()
-            raise
-        self._in_use = True
+        with self._cutoff.call(), self._cutoff.exchange():
+            if self._in_use and self._link.is_open:
+                return
+            self._link.open()
+            try:
+                self.serial_number = self._request(GET_SERIAL, b"", 4)[::-1].hex()
+                self.dark()
+            except BaseException:
+                self._link.close()
+                raise
+            self._in_use = True
 
     def close(self) -> None:
         """Let go of the port. The widget goes on sending its last levels: `make_safe` first."""
         self._in_use = False
-        self._link.close()
+        with self._cutoff.stop(), self._cutoff.exchange():
+            self._link.close()
 
     def _show(self, channels: bytes) -> float:
         if self._in_use and not self._link.is_open:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stage.clock import Clock, SystemClock
+from stage.cutoff import Cutoff
 from stage.devices import Arrival, OpenedByWith
 from stage.errors import DeviceError
 from stage.rig import FixedDome
@@ -24,8 +25,8 @@ class FixedDomeMotion(OpenedByWith):
     name = "fixed dome"
 
     def __init__(self, dome: FixedDome, *, clock: Clock | None = None) -> None:
-        self._dome, self._clock = dome, clock or SystemClock()
-        self._in_use = False
+        self._dome, self._in_use = dome, False
+        self._cutoff = Cutoff(clock or SystemClock(), lambda: f"{self.name}: it was made safe meanwhile; try again")
 
     @property
     def limits(self) -> tuple[tuple[float, float], ...]:
@@ -41,7 +42,9 @@ class FixedDomeMotion(OpenedByWith):
         self._in_use = False
 
     def make_safe(self) -> None:
-        """It always is."""
+        """It always is; another thread's rest is over."""
+        with self._cutoff.stop():
+            pass
 
     def positions(self) -> tuple[float, ...]:
         """None."""
@@ -53,7 +56,8 @@ class FixedDomeMotion(OpenedByWith):
         self._require_open()
         if len(targets):
             raise DeviceError(f"{self.name}: expected no joint values, got {len(targets)}; check motion in the rig")
-        self._clock.sleep(self._dome.settle_s)
+        with self._cutoff.call():
+            self._cutoff.sleep(self._dome.settle_s)
         return Arrival((), 0.0, self._dome.settle_s)
 
     def _require_open(self) -> None:

@@ -7,7 +7,8 @@ from functools import partial
 from pathlib import PurePosixPath
 from typing import Any
 
-from drivers.still_camera import CAPTURE_TIMEOUT_S, NoPictureError, Shot, StillCamera, StoredFile
+from drivers.frame_camera import NoPictureError
+from drivers.still_camera import CAPTURE_TIMEOUT_S, Shot, StillCamera, StoredFile
 from drivers.worker import Worker
 from stage.clock import Clock
 from stage.errors import DeviceError, InputError
@@ -59,7 +60,8 @@ class Gphoto2Camera(StillCamera[str, str]):
                 "rig: camera.device.port: expected usb:, usb:BUS,DEVICE, ptpip:HOST or ptpip:HOST:PORT, "
                 f"got {device.port!r}"
             )
-        super().__init__(f"camera at {device.port.rstrip(':')}", "a release", clock, capture_timeout_s)
+        name = f"camera at {device.port.rstrip(':')}"
+        super().__init__(name, "a release", clock, capture_timeout_s, device.shutter_lag_s)
         self._answer_timeout_s, self._spare_s = answer_timeout_s, spare_s
         arguments = {"name": self._name, "port": device.port, "iso": device.iso, "trigger": trigger}
         self._worker = Worker("drivers.gphoto2_session:Session", arguments, self._name)
@@ -95,13 +97,20 @@ class Gphoto2Camera(StillCamera[str, str]):
     def _set_exposure(self, setting: str) -> None:
         self._call("set_shutter", setting)
 
-    def _release(self, shot: Shot[str, str]) -> list[str]:
+    def _take_stock(self) -> None:
+        self._end()  # libgphoto2 remembers what it has listed before
+        self._link()
+
+    def _release(self, shot: Shot[str, str]) -> None:
         shot.known = set(self._known)
         shot.started_s = self._clock.now()
-        timeout_s = shot.exposure_s + self._capture_timeout_s + self._spare_s
-        paths: list[str] = self._call(
-            "release", shot.exposure_s, self._capture_timeout_s, shot.known, timeout_s=timeout_s
-        )
+        # where libgphoto2 cannot but wait for the file, too, it takes as long as that
+        self._call("release", shot.known, timeout_s=shot.exposure_s + self._capture_timeout_s + self._spare_s)
+
+    def _await_files(self, shot: Shot[str, str]) -> list[str]:
+        assert shot.started_s is not None
+        patience_s = max(shot.started_s + shot.exposure_s - self._clock.now(), 0.0) + self._capture_timeout_s
+        paths: list[str] = self._call("announced", patience_s, timeout_s=patience_s + self._spare_s)
         if not paths:  # libgphoto2 knows no new file before it is started anew
             raise DeviceError(f"{self.name}: it was released, but announced no picture; check focus, lens and card")
         return paths

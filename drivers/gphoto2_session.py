@@ -81,6 +81,7 @@ class Session:
         self._do("opening it", self._camera.init, self._context)
         self._trigger = trigger
         self._known: set[str] = set()
+        self._taken: list[str] = []
         settings = self._do("reading its settings", self._camera.get_config, self._context)
         self._shutter = next((key for key in SHUTTER_SPEED if _child(settings, key) is not None), "")
         if not self._shutter:
@@ -110,22 +111,27 @@ class Session:
             folders += [_path(folder, name) for name in below]
         return found
 
-    def release(self, exposure_s: float, timeout_s: float, known: set[str]) -> list[str]:
-        """Expose; paths of the files that were announced within `timeout_s` beyond the exposure, if any.
+    def release(self, known: set[str]) -> None:
+        """Begin to expose, or expose where the camera's driver cannot but wait for the file; see `announced`.
 
         Files that are `known`, or that a busy camera announces before it takes the release, are not this picture's.
         """
-        self._known = set(known)
+        self._known, self._taken = set(known), []
         if self._trigger:
             try:
                 self._patiently("trigger_capture", self._camera.trigger_capture, self._context)
-                return self._announced(time.monotonic() + exposure_s + timeout_s)
             except _NotSupportedError:
                 self._trigger = False
+            else:
+                return
         taken = self._patiently("capture", self._camera.capture, self._gp.GP_CAPTURE_IMAGE, self._context)
         first = _path(taken.folder, taken.name)
         others = self._announced(time.monotonic() + EVENT_WAIT_S, complete=True)
-        return [path for path in (first, *others) if path not in self._known]
+        self._taken = [path for path in (first, *others) if path not in self._known]
+
+    def announced(self, timeout_s: float) -> list[str]:
+        """Paths of the files of the latest release that are announced within so many seconds, if any."""
+        return self._taken or self._announced(time.monotonic() + timeout_s)
 
     def download(self, path: str) -> bytes:
         """A file's bytes, copied while libgphoto2's buffer lives."""

@@ -21,6 +21,7 @@ from drivers.grbl_controller import GrblController
 from drivers.grbl_device import GrblDevice
 from drivers.grbl_words import Report
 from stage.clock import Clock
+from stage.cutoff import CutShortError
 from stage.devices import Arrival
 from stage.errors import DeviceError
 from stage.rig import GrblMotion, GrblSlide, GrblTurn
@@ -57,7 +58,7 @@ class GrblAxes(GrblDevice):
     ) -> None:
         super().__init__("the axes are", controller or GrblController(motion.port, motion.baudrate, clock=clock))
         self._motion = motion
-        self._clock = self._controller.clock
+        self._clock, self._cutoff = self._controller.clock, self._controller.cutoff
         self._joints = motion.joints
         self._tolerances = [
             tolerance * _scale(joint) for tolerance, joint in zip(motion.tolerances, motion.joints, strict=True)
@@ -70,19 +71,26 @@ class GrblAxes(GrblDevice):
         return self._motion.limits
 
     def make_safe(self) -> None:
-        """Come to rest without losing the position; a lamp on the same controller goes out where axes were moving."""
-        if self._in_use:
-            self._controller.connect()
-            self._controller.halt()
+        """Come to rest without losing the position; a lamp on the same controller goes out where axes were moving.
+
+        Calls of other threads, also those of that lamp, fail. Only homing loses the position when it is cut short.
+        """
+        with self._cutoff.stop():
+            if self._in_use:
+                self._controller.brake()
+                self._controller.connect()
+                self._controller.halt()
 
     def positions(self) -> tuple[float, ...]:
         """Where the joints are now, as the controller counts them; homes it where it has lost count and may."""
-        return self._joint_values(self._make_ready())
+        with self._cutoff.call():
+            return self._joint_values(self._make_ready())
 
     def move_to(self, targets: Sequence[float]) -> Arrival:
         """See `stage.devices.AxisGroup.move_to`; axes settle to the nearest of their steps ($100 to $102)."""
         goals = self._goals(targets)
-        return self._go(self._make_ready(), goals)
+        with self._cutoff.call():
+            return self._go(self._make_ready(), goals)
 
     # Getting ready
 
@@ -157,12 +165,15 @@ class GrblAxes(GrblDevice):
         begun = self._clock.now()
         try:
             line, expected_s = self._line(self._places(self._steady(start)), goals)
-            self._watch(start, line, goals, begun + 2 * expected_s + GRACE_S)
+            with self._controller.braked_by(keys.HOLD):
+                self._watch(start, line, goals, begun + 2 * expected_s + GRACE_S)
             arrived = self._clock.now()
-            self._clock.sleep(self._motion.settle_s)
+            self._cutoff.sleep(self._motion.settle_s)
             report = self._steady(self._controller.status())
             if astray := self._astray(report, goals):
                 raise self._controller.failed(f"{astray} after settling", "check the axes and the limits")
+        except CutShortError:
+            raise
         except DeviceError as error:
             self._hold_after(error)
             raise
@@ -207,7 +218,7 @@ class GrblAxes(GrblDevice):
         self._controller.tell(line)
         sent, seen, seen_at = 1, start.position, self._clock.now()
         while True:
-            self._clock.sleep(POLL_S)
+            self._cutoff.sleep(POLL_S)
             report, now = self._steady(self._controller.status(), moving=True), self._clock.now()
             astray = self._astray(report, goals)
             if report.state == "Idle" and not astray:

@@ -14,11 +14,13 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Final
 
 from drivers.grbl_words import ALARMS, ERRORS, POSITION_KEPT, Report, read_report
 from drivers.link import SerialLink
 from stage.clock import Clock, SystemClock
+from stage.cutoff import Cutoff
 from stage.errors import DeviceError
 
 RESET, STATUS, HOLD = b"\x18", b"?", b"!"
@@ -74,10 +76,15 @@ class GrblController:
         cut off since.
     session : int
         Grows with every connection.
+    cutoff : Cutoff
+        For the calls of all devices on it: what makes one of them safe ends the calls of all.
     """
 
     def __init__(self, port: str, baudrate: int = 115200, *, clock: Clock | None = None) -> None:
         self.clock = clock or SystemClock()
+        self.cutoff = Cutoff(
+            self.clock, lambda: f"{self.name}: the call was cut short to make it safe; try again when it is"
+        )
         self.settings: dict[int, float] = {}
         self.options = ""
         self.position_known = False
@@ -88,6 +95,7 @@ class GrblController:
         self._alarm: int | None = None
         self._restarted = False
         self._late = False
+        self._brake = b""
 
     @property
     def name(self) -> str:
@@ -108,12 +116,16 @@ class GrblController:
         """Let go of the port where nobody else uses it; never raises."""
         self._users.discard(user)
         if not self._users:
-            self._link.close()
+            with self.cutoff.stop(), self.cutoff.exchange():
+                self._link.close()
 
     def connect(self) -> None:
         """Take the port, stop what may be moving, reset, and learn the settings; does nothing where connected."""
-        if self._link.is_open:
-            return
+        with self.cutoff.exchange():
+            if not self._link.is_open:
+                self._connect()
+
+    def _connect(self) -> None:
         self._link.open()
         try:
             self._incoming, self._alarm, self._restarted, self._late = b"", None, False, False
@@ -151,17 +163,36 @@ class GrblController:
 
     def status(self) -> Report:
         """Ask for a status report; raises `DeviceError` where none comes, or the controller has locked or restarted."""
-        self._forget_late_answers()
-        self._raise_trouble()
-        for attempt in range(TRIES):
-            self._late = True
-            self._link.write(STATUS)
-            for line in self._listen(STATUS_S):
-                self._raise_trouble()
-                if (report := read_report(line)) is not None:
-                    self._late = attempt > 0
-                    return report
+        with self.cutoff.exchange():
+            self._forget_late_answers()
+            self._raise_trouble()
+            for attempt in range(TRIES):
+                self._late = True
+                self._link.write(STATUS)
+                for line in self._listen(STATUS_S):
+                    self._raise_trouble()
+                    if (report := read_report(line)) is not None:
+                        self._late = attempt > 0
+                        return report
         raise self.failed(f"no status report in {TRIES} tries", "check power and cable, then try again")
+
+    @contextmanager
+    def braked_by(self, brake: bytes) -> Iterator[None]:
+        """While the machine moves: the real-time byte that `brake` sends."""
+        self._brake = brake
+        try:
+            yield
+        finally:
+            self._brake = b""
+
+    def brake(self) -> None:
+        """Stop a machine that moves at once, in the middle of whatever another thread exchanges with it.
+
+        The controller picks real-time bytes out of the stream, even out of a line.
+        """
+        if self._brake and self._link.is_open:
+            with suppress(DeviceError):  # whoever makes it safe finds out next, and connects anew
+                self._link.write(self._brake)
 
     def recover(self) -> Report:
         """Listen again after trouble that has been reported, and unlock where the position is still known."""
@@ -180,20 +211,28 @@ class GrblController:
         ways = [value for number, value in self.settings.items() if TRAVEL <= number < TRAVEL + 10]
         slow_s = 60 * 10 * self.settings[PULL_OFF] / self.settings[HOMING_FEED]
         deadline = self.clock.now() + sum(60 * 2 * way / self.settings[HOMING_SEEK] + slow_s + GRACE_S for way in ways)
-        self._link.write(b"$H\n")
-        while self.clock.now() < deadline:
-            for line in self._listen(GLANCE_S):
-                self._raise_trouble()
-                report = read_report(line)
-                # Reports are not sent while homing, so that one tells the end of it, should the ok be lost.
-                if line == "ok" or (was_locked and report is not None and report.state == "Idle"):
-                    self.position_known = True
-                    return
-                self._raise_error("$H", line)
-            self.clock.sleep(HOMING_POLL_S)
-            self._link.write(STATUS)
+        with self.braked_by(RESET):  # it listens to nothing else
+            question = b"$H\n"
+            while self.clock.now() < deadline:
+                with self.cutoff.exchange():
+                    self._link.write(question)
+                    if self._homed(was_locked):
+                        return
+                self.cutoff.sleep(HOMING_POLL_S)
+                question = STATUS
         self.reset()
         raise self.failed("homing did not end in time", "check the limit switches and the travel ($130 to $132)")
+
+    def _homed(self, was_locked: bool) -> bool:
+        for line in self._listen(GLANCE_S):
+            self._raise_trouble()
+            report = read_report(line)
+            # Reports are not sent while homing, so that one tells the end of it, should the ok be lost.
+            if line == "ok" or (was_locked and report is not None and report.state == "Idle"):
+                self.position_known = True
+                return True
+            self._raise_error("$H", line)
+        return False
 
     def halt(self) -> None:
         """Come to rest without losing the position, empty the planner and switch the spindle off.
@@ -218,16 +257,17 @@ class GrblController:
 
         The position survives unless the machine was moving. A controller that may be starting greets by itself, too.
         """
-        for sent in range(1, RESETS + 1):
-            self._incoming = b""
-            self._link.write(RESET)
-            for line in self._listen(RESET_S):
-                if greeting := _BANNER.match(line):
-                    self._require_version(greeting[1] + greeting[2])
-                    if sent > 1 or may_be_starting:  # another greeting may be on its way
-                        list(self._listen(RESET_S))
-                    self._alarm, self._restarted, self._late = None, False, False
-                    return
+        with self.cutoff.exchange():
+            for sent in range(1, RESETS + 1):
+                self._incoming = b""
+                self._link.write(RESET)
+                for line in self._listen(RESET_S):
+                    if greeting := _BANNER.match(line):
+                        self._require_version(greeting[1] + greeting[2])
+                        if sent > 1 or may_be_starting:  # another greeting may be on its way
+                            list(self._listen(RESET_S))
+                        self._alarm, self._restarted, self._late = None, False, False
+                        return
         raise self.failed(
             f"no greeting after {RESETS} resets", "check that this is a GRBL controller, its power and its baudrate"
         )
@@ -237,8 +277,9 @@ class GrblController:
         deadline = self.clock.now() + GRACE_S
         while report is not None and report.moves and report.state != "Home" and self.clock.now() < deadline:
             if report.state != "Hold":
-                self._link.write(HOLD)
-            self.clock.sleep(POLL_S)
+                with self.cutoff.exchange():
+                    self._link.write(HOLD)
+            self.cutoff.sleep(POLL_S)
             report = self.glimpse()
         return report
 
@@ -268,18 +309,19 @@ class GrblController:
         """Lines that came before the ``ok``; None where that did not come."""
         if len(line) >= LINE_BYTES:
             raise DeviceError(f"{self.name}: the line {line!r} is longer than GRBL takes; nothing was sent")
-        self._forget_late_answers()
-        self._raise_trouble()
-        self._late = True
-        self._link.write(line.encode() + b"\n")
-        said: list[str] = []
-        for reply in self._listen(REPLY_S):
-            if reply == "ok":
-                self._late = False
-                return said
-            self._raise_error(line, reply)
+        with self.cutoff.exchange():
+            self._forget_late_answers()
             self._raise_trouble()
-            said.append(reply)
+            self._late = True
+            self._link.write(line.encode() + b"\n")
+            said: list[str] = []
+            for reply in self._listen(REPLY_S):
+                if reply == "ok":
+                    self._late = False
+                    return said
+                self._raise_error(line, reply)
+                self._raise_trouble()
+                said.append(reply)
         return None
 
     def _forget_late_answers(self) -> None:

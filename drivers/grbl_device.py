@@ -42,13 +42,14 @@ class GrblDevice(OpenedByWith):
         """Connect, check that the controller can do what the rig asks of it, and prepare."""
         if self._in_use and self._controller.is_open:
             return
-        self._controller.open(self)
-        self._in_use = True
-        try:
-            self._prepare()
-        except BaseException:
-            self.close()
-            raise
+        with self._controller.cutoff.call():
+            self._controller.open(self)
+            self._in_use = True
+            try:
+                self._prepare()
+            except BaseException:
+                self.close()
+                raise
 
     def close(self) -> None:
         """Let go of the controller; never raises."""

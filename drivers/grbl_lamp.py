@@ -56,25 +56,28 @@ class GrblSpindleLamp(GrblDevice):
     def close(self) -> None:
         """Go dark where the controller is still there, and let go of it."""
         if self._in_use and self._controller.is_open:
-            with suppress(DeviceError):
+            with suppress(DeviceError), self._controller.cutoff.stop():
                 self.dark()
         super().close()
 
     def make_safe(self) -> None:
-        """Go dark, where the lamp is in use; see `dark`."""
-        if self._in_use:
-            self.dark()
+        """Go dark, where the lamp is in use; see `dark`. Calls of other threads fail, those of axes on it too."""
+        with self._controller.cutoff.stop():
+            if self._in_use:
+                self._controller.brake()
+                self.dark()
 
     def dark(self) -> None:
         """Switch the spindle off, by a reset where the controller takes no g-code; axes on it then come to rest."""
-        self._connect()
-        report = self._controller.glimpse()
-        if report is not None and report.state == "Alarm" and not report.speed:
-            return  # an alarm has switched it off, and locked what could switch it on
-        if report is not None and report.state == "Idle":
-            self._spin("M5", 0.0)
-        else:
-            self._controller.halt()
+        with self._controller.cutoff.call():
+            self._connect()
+            report = self._controller.glimpse()
+            if report is not None and report.state == "Alarm" and not report.speed:
+                return  # an alarm has switched it off, and locked what could switch it on
+            if report is not None and report.state == "Idle":
+                self._spin("M5", 0.0)
+            else:
+                self._controller.halt()
 
     def set_level(self, level: float) -> tuple[float, ...]:
         """See `stage.devices.Lamp.set_level`."""
@@ -83,14 +86,15 @@ class GrblSpindleLamp(GrblDevice):
     def set_levels(self, levels: Sequence[float]) -> tuple[float, ...]:
         """See `stage.devices.Lamp.set_levels`; the PWM has 256 levels."""
         require_levels(self.name, levels, self.emitters)
-        self._connect()
-        self._controller.recover()
         step = round(levels[0] * PWM_STEPS)
-        if not step:
-            self._spin("M5", 0.0)
-        else:
-            speed = self._speed(step)
-            self._spin(f"M3S{speed:.3f}", speed)
+        with self._controller.cutoff.call():
+            self._connect()
+            self._controller.recover()
+            if not step:
+                self._spin("M5", 0.0)
+            else:
+                speed = self._speed(step)
+                self._spin(f"M3S{speed:.3f}", speed)
         return (step / PWM_STEPS,)
 
     def _prepare(self) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
+from drivers.frame_camera import TwoStepCamera
 from drivers.video_stream import SETTLE_FRAMES, UNUSABLE_FRAMES, Picture
 from drivers.worker import Worker
 from stage.clock import Clock, SystemClock
-from stage.devices import CapturedFrame, OpenedByWith
+from stage.devices import CapturedFrame, Exposure
 from stage.errors import DeviceError, InputError
 from stage.rig import OpenCvStream
 
@@ -17,11 +20,13 @@ EXPOSURE_MATCH = 0.02
 START_TIMEOUT_S = 20.0
 """For the worker process to load OpenCV, beyond opening the camera."""
 OPEN_TIMEOUT_S = 10.0
+ENCODE_TIMEOUT_S = 30.0
+"""For a picture of dozens of megapixels to be averaged and packed."""
 GRACE_S = 5.0
 """Beyond the time that frames may take, before the worker process counts as hanging."""
 
 
-class OpenCvCamera(OpenedByWith):
+class OpenCvCamera(TwoStepCamera):
     """A camera that OpenCV opens: a `stage.devices.FrameCamera`.
 
     OpenCV runs in a worker process, which is killed where it hangs and started anew on the next call.
@@ -42,6 +47,7 @@ class OpenCvCamera(OpenedByWith):
         self._exposure_s: float | None = None
         self._metadata: dict[str, str] = {}
         self._shots = 0
+        self._latest: Picture | None = None
         arguments = {
             "port": camera.port,
             "name": self.name,
@@ -71,10 +77,7 @@ class OpenCvCamera(OpenedByWith):
     def close(self) -> None:
         """Let go of the camera; never raises."""
         self._in_use = False
-        self._worker.close()
-
-    def make_safe(self) -> None:
-        """Do nothing: a camera neither moves nor shines."""
+        self._forget()
 
     def require_exposure(self, exposure_s: float) -> None:
         """Refuse an exposure time that the camera does not have; a UVC device is asked, by setting it.
@@ -86,10 +89,14 @@ class OpenCvCamera(OpenedByWith):
         DeviceError
             Where a UVC device is not open, or does not answer.
         """
-        self._set_exposure(exposure_s)
+        self._require_exposure(exposure_s)
 
-    def capture(self, exposure_s: float) -> CapturedFrame:
-        """Mean of `frames_per_shot` frames as PNG: of 8 bits where it is one, of 16 where they are several.
+    def nearest_exposure(self, exposure_s: float) -> float:
+        """The exposure time that a stream has, or that a UVC device takes, which is asked by setting it; seconds."""
+        return self._set_exposure(exposure_s)[0]
+
+    def expose(self, exposure_s: float) -> Exposure:
+        """Take `frames_per_shot` frames, and return when they are here.
 
         All frames began to be exposed after the call, as far as the rig's `latency_s` is true; see
         `drivers.video_stream.VideoStream.picture`.
@@ -108,8 +115,8 @@ class OpenCvCamera(OpenedByWith):
         started_s, begin = self._clock.now(), time.monotonic()
         was_s, camera = self._exposure_s, self._camera
         frames = camera.frames_per_shot + 1 + SETTLE_FRAMES + UNUSABLE_FRAMES  # each within its timeout, or it is told
-        try:
-            real_s = self._set_exposure(exposure_s)
+        with self._or_begin_anew():
+            real_s = self._require_exposure(exposure_s)
             picture: Picture = self._worker.call(
                 "picture",
                 camera.frames_per_shot,
@@ -118,37 +125,66 @@ class OpenCvCamera(OpenedByWith):
                 self._is_device and real_s != was_s,
                 timeout_s=real_s + camera.latency_s + frames * camera.read_timeout_s + GRACE_S,
             )
-        except DeviceError:
-            self._worker.close()  # what is left in it is of no use; the next call begins anew
-            raise
         self._shots += 1
-        took_s = time.monotonic() - begin
+        self._latest = picture
+        return Exposure(real_s, started_s, time.monotonic() - begin, picture)
+
+    def download(self, exposure: Exposure) -> CapturedFrame:
+        """Mean of the frames of the latest exposure as PNG: of 8 bits where it is one, of 16 where they are several.
+
+        Raises
+        ------
+        DeviceError
+            Where the process that has them is gone, or the exposure is not the latest, or was fetched before.
+        """
+        picture, begin = self._latest, time.monotonic()
+        self._latest = None
+        if picture is None or picture is not exposure.handle:
+            raise DeviceError(f"{self.name}: that exposure was fetched or given up before; take the picture again")
+        with self._or_begin_anew():
+            data: bytes = self._worker.call("data", timeout_s=ENCODE_TIMEOUT_S)
         return CapturedFrame(
-            data=picture.data,
+            data=data,
             name=f"frame-{self._shots:06d}.png",
-            exposure_s=real_s,
-            started_s=started_s,
+            exposure_s=exposure.exposure_s,
+            started_s=exposure.started_s,
             expose_s=picture.waited_s,
-            download_s=took_s - picture.waited_s,
+            download_s=time.monotonic() - begin,
             metadata={
                 **self._metadata,
-                "frames": str(camera.frames_per_shot),
+                "frames": str(self._camera.frames_per_shot),
                 "rate_hz": f"{picture.rate_hz:.1f}",
                 "unusable_frames": str(picture.unusable),
             },
         )
 
-    def _set_exposure(self, exposure_s: float) -> float:
-        """Have the exposure time wanted, and return it as the camera has it."""
+    @contextmanager
+    def _or_begin_anew(self) -> Iterator[None]:
+        try:
+            yield
+        except DeviceError:
+            self._forget()  # what is left in it is of no use; the next exposure begins anew
+            raise
+
+    def _forget(self) -> None:
+        self._latest = None
+        self._worker.close()
+
+    def _require_exposure(self, exposure_s: float) -> float:
+        """Have the exposure time wanted, and return it as the camera has it; refuse one that it does not have."""
+        real_s, fixed = self._set_exposure(exposure_s)
+        if not abs(real_s - exposure_s) <= EXPOSURE_MATCH * exposure_s:
+            why = "OpenCV cannot set this camera's exposure, which the rig says is" if fixed else "the nearest is"
+            raise InputError(f"exposure_s: the camera offers no {exposure_s:g} s; {why} {real_s:g} s")
+        return real_s
+
+    def _set_exposure(self, exposure_s: float) -> tuple[float, bool]:
+        """Ask for an exposure time; return it as the camera has it, and whether it cannot be set."""
         real_s: float | None = None
         if self._is_device:
             if not self._worker.alive:
                 raise DeviceError(f"{self.name}: it is not open; open it first")
             real_s = self._worker.call("set_exposure", exposure_s, timeout_s=2 * self._camera.read_timeout_s + GRACE_S)
         fixed = real_s is None
-        real_s = self._camera.exposure_s if real_s is None else real_s
-        self._exposure_s = real_s
-        if not abs(real_s - exposure_s) <= EXPOSURE_MATCH * exposure_s:
-            why = "OpenCV cannot set this camera's exposure, which the rig says is" if fixed else "the nearest is"
-            raise InputError(f"exposure_s: the camera offers no {exposure_s:g} s; {why} {real_s:g} s")
-        return real_s
+        self._exposure_s = self._camera.exposure_s if real_s is None else real_s
+        return self._exposure_s, fixed

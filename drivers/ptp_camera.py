@@ -6,12 +6,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Self
 
+from drivers.frame_camera import NoPictureError
 from drivers.ptp_ip_pipe import PORT, PtpIpPipe
 from drivers.ptp_pipe import ANSWER_TIMEOUT_S, PtpPipe, PtpRefusedError, TruncatedTransferError
-from drivers.ptp_protocol import JPEG, SESSION_NOT_OPEN, STORE_FULL, Event, ObjectInfo
+from drivers.ptp_protocol import JPEG, SESSION_NOT_OPEN, STORE_FULL, Event
 from drivers.ptp_session import PtpSession
 from drivers.ptp_usb_pipe import PtpUsbPipe, find_camera
-from drivers.still_camera import CAPTURE_TIMEOUT_S, NoPictureError, Shot, StillCamera, StoredFile
+from drivers.still_camera import CAPTURE_TIMEOUT_S, Shot, StillCamera, StoredFile
 from stage.clock import Clock
 from stage.errors import DeviceError, InputError
 from stage.rig import PtpIp, PtpUsb
@@ -31,8 +32,8 @@ class PtpCamera(StillCamera[int, int]):
         Finds the camera and makes a pipe to it that is not open yet; takes the camera's name.
     where : str
         Its wire and address, for errors.
-    iso : int or None
-        Sensitivity to set on opening.
+    device : PtpUsb or PtpIp
+        Sensitivity and shutter lag.
     clock : Clock, optional
         Deadlines and pauses; the system's where none is given.
     capture_timeout_s : float
@@ -43,18 +44,15 @@ class PtpCamera(StillCamera[int, int]):
         self,
         find: Callable[[str], PtpPipe],
         where: str,
-        iso: int | None,
+        device: PtpUsb | PtpIp,
         *,
         clock: Clock | None = None,
         capture_timeout_s: float = CAPTURE_TIMEOUT_S,
     ) -> None:
-        super().__init__(f"camera {where}", "INITIATE_CAPTURE", clock, capture_timeout_s)
-        self._find_pipe, self._where, self._iso = find, where, iso
+        super().__init__(f"camera {where}", "INITIATE_CAPTURE", clock, capture_timeout_s, device.shutter_lag_s)
+        self._find_pipe, self._where, self._iso = find, where, device.iso
         self._open_session: PtpSession | None = None
         self._offered: tuple[int, ...] | range = ()
-        self._in_doubt = False
-        self._given_up_s = 0.0  # when the last exposure that was begun is over, should it come to be given up
-        """Whether a picture that was released and given up may still come."""
 
     @classmethod
     def over_usb(
@@ -72,7 +70,7 @@ class PtpCamera(StillCamera[int, int]):
             found = find_camera(name, backend, device.vendor_id, device.product_id, device.serial)
             return PtpUsbPipe(found, name, answer_timeout_s)
 
-        return cls(find, "over USB", device.iso, clock=clock, capture_timeout_s=capture_timeout_s)
+        return cls(find, "over USB", device, clock=clock, capture_timeout_s=capture_timeout_s)
 
     @classmethod
     def over_ip(
@@ -92,7 +90,7 @@ class PtpCamera(StillCamera[int, int]):
         def find(name: str) -> PtpPipe:
             return PtpIpPipe(address, name, answer_timeout_s)
 
-        return cls(find, f"at {host}:{address[1]}", device.iso, clock=clock, capture_timeout_s=capture_timeout_s)
+        return cls(find, f"at {host}:{address[1]}", device, clock=clock, capture_timeout_s=capture_timeout_s)
 
     @property
     def _session(self) -> PtpSession:
@@ -135,16 +133,13 @@ class PtpCamera(StillCamera[int, int]):
     def _set_exposure(self, setting: int) -> None:
         self._session.set_exposure(setting)
 
-    def _release(self, shot: Shot[int, int]) -> list[int]:
+    def _take_stock(self) -> None:
+        self._known = self._session.handles()
+
+    def _release(self, shot: Shot[int, int]) -> None:
         self._drain()
-        if self._in_doubt:
-            # a picture that was given up must be on the card before that is listed, or it could be taken for this one
-            self._clock.sleep(max(self._given_up_s + EVENT_GRACE_S - self._clock.now(), 0.0))
-            self._known = self._session.handles()
         shot.started_s = self._session.release(self._note_other_files)
-        shot.known, self._in_doubt = set(self._known), True
-        self._given_up_s = shot.started_s + shot.exposure_s
-        return self._await_files(shot)
+        shot.known = set(self._known)
 
     def _find(self, shot: Shot[int, int]) -> list[int]:
         return self._new_files(shot) or self._await_files(shot)
@@ -155,20 +150,15 @@ class PtpCamera(StillCamera[int, int]):
         return StoredFile(
             path=info.name,
             is_jpeg=info.format == JPEG,
-            download=partial(self._download, key, info),
+            download=partial(session.download, key, info),
             delete=partial(session.delete, key),
             metadata={"captured": info.captured},
         )
 
-    def _download(self, handle: int, info: ObjectInfo) -> bytes:
-        data = self._session.download(handle, info)
-        self._in_doubt = False
-        return data
-
     def _note_other_files(self) -> None:
         """What a busy camera was busy with may be on its card by now: it is not the picture that is asked for."""
         self._drain()
-        self._known = self._session.handles()
+        self._take_stock()
 
     def _drain(self) -> None:
         while self._session.event(0.001) is not None:
@@ -178,14 +168,15 @@ class PtpCamera(StillCamera[int, int]):
         """Handles of the picture's files, announced or found."""
         announced: list[int] = []
         complete = False
-        left_s = shot.exposure_s + self._capture_timeout_s
+        assert shot.started_s is not None
+        left_s = max(shot.started_s + shot.exposure_s - self._clock.now(), 0.0) + self._capture_timeout_s
         while left_s > 0 and not (announced and complete):
             # the wire waits in a time of its own, real where it is a network: so what is waited for is counted here
             begun_s, patience_s = self._clock.now(), min(left_s, EVENT_GRACE_S)
             event = self._session.event(patience_s)
             if event is None:
                 left_s -= patience_s
-                exposed = left_s < self._capture_timeout_s
+                exposed = left_s < self._capture_timeout_s  # else the silence means nothing
                 if exposed and (found := announced or self._new_files(shot)):
                     return found
                 continue

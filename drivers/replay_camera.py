@@ -9,8 +9,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from drivers.frame_camera import TwoStepCamera
 from stage.clock import Clock, SystemClock
-from stage.devices import CapturedFrame, OpenedByWith
+from stage.devices import CapturedFrame, Exposure
 from stage.errors import DeviceError, InputError
 from stage.lights import Light
 from stage.rig import Replay
@@ -51,7 +52,7 @@ class ReplaySource(Protocol):
         ...
 
 
-class ReplayCamera(OpenedByWith):
+class ReplayCamera(TwoStepCamera):
     """A camera that shows photographs of a folder: a `stage.devices.FrameCamera`.
 
     Parameters
@@ -86,9 +87,6 @@ class ReplayCamera(OpenedByWith):
         """Nothing to let go of; never raises."""
         self._in_use = False
 
-    def make_safe(self) -> None:
-        """Do nothing: a camera neither moves nor shines."""
-
     def require_exposure(self, exposure_s: float) -> None:
         """Refuse any exposure time but that of the photographs; raises `InputError`."""
         fixed_s = self._device.exposure_s
@@ -98,19 +96,34 @@ class ReplayCamera(OpenedByWith):
                 f"camera.device.exposure_s says they have {fixed_s:g} s"
             )
 
-    def capture(self, exposure_s: float) -> CapturedFrame:
-        """The photograph that was taken with the light where it is now.
+    def nearest_exposure(self, exposure_s: float) -> float:
+        """The exposure time of the photographs, seconds."""
+        self._require_open()
+        return self._device.exposure_s
+
+    def expose(self, exposure_s: float) -> Exposure:
+        """See where the light is; raises `InputError` for another exposure time than that of the photographs."""
+        self._require_open()
+        self.require_exposure(exposure_s)
+        return Exposure(self._device.exposure_s, self._clock.now(), 0.0, self._lit())
+
+    def download(self, exposure: Exposure) -> CapturedFrame:
+        """The photograph that was taken with the light where it was.
 
         Raises
         ------
-        InputError
-            For another exposure time than that of the photographs.
         DeviceError
-            Where no photograph was taken with the light near to where it is, or its file cannot be read.
+            Where no photograph was taken with the light near to where it was, or its file cannot be read.
         """
+        self._require_open()
+        light, begun_s = exposure.handle, self._clock.now()
+        assert light is None or isinstance(light, Light)
+        found = self._source.photograph(light)
+        took_s = self._clock.now() - begun_s
+        return CapturedFrame(
+            found.data, found.name, exposure.exposure_s, exposure.started_s, 0.0, took_s, metadata=found.metadata
+        )
+
+    def _require_open(self) -> None:
         if not self._in_use:
             raise DeviceError(f"{self.name}: it is not open; open it first")
-        self.require_exposure(exposure_s)
-        started_s = self._clock.now()
-        found = self._source.photograph(self._lit())
-        return CapturedFrame(found.data, found.name, self._device.exposure_s, started_s, metadata=found.metadata)

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from drivers.usb_device import UsbError
 from drivers.usbtmc import TmcError, TmcPipe
-from stage.clock import Clock
+from stage.cutoff import Cutoff
 from stage.errors import DeviceError
 
 T = TypeVar("T")
@@ -39,13 +39,13 @@ class ScpiPort:
         What errors call it.
     pipe : TmcPipe
         Its message interface.
-    clock : Clock
-        Pauses between tries.
+    cutoff : Cutoff
+        Whose wire each try takes, and whose clock pauses between them.
     """
 
-    def __init__(self, name: str, pipe: TmcPipe, clock: Clock) -> None:
+    def __init__(self, name: str, pipe: TmcPipe, cutoff: Cutoff) -> None:
         self.name = name
-        self._pipe, self._clock = pipe, clock
+        self._pipe, self._cutoff = pipe, cutoff
 
     def reset_interface(self) -> None:
         """Clear the pipe, the status and the error queue; settings stay as they are."""
@@ -109,13 +109,15 @@ class ScpiPort:
     def _tried(self, act: Callable[[], T]) -> T:
         for _ in range(TRIES - 1):
             try:
-                return act()
+                with self._cutoff.exchange():
+                    return act()
             except TmcError:
                 pass
             except UsbError as error:
                 if not error.may_pass:
                     raise
-            self._clock.sleep(PAUSE_S)
-            with suppress(TmcError):  # if it does not help the next try tells
+            self._cutoff.sleep(PAUSE_S)
+            with self._cutoff.exchange(), suppress(TmcError):  # if it does not help the next try tells
                 self._pipe.clear()
-        return act()
+        with self._cutoff.exchange():
+            return act()

@@ -16,11 +16,12 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, TypeVar
 
-from drivers.levels import require_levels
+from drivers.levels import made_safe, require_levels
 from drivers.scpi import ScpiPort, ScpiRefusedError
 from drivers.usb_device import UsbError, UsbInterface, Wanted, find_device
 from drivers.usbtmc import INTERFACE, TmcError, TmcPipe
 from stage.clock import Clock, SystemClock
+from stage.cutoff import Cutoff, CutShortError
 from stage.devices import OpenedByWith
 from stage.errors import DeviceError
 from stage.rig import SupplyEmitter, SupplyLight
@@ -58,6 +59,7 @@ class ScpiSupplyLamp(OpenedByWith):
         )
         self._clock, self._backend = clock or SystemClock(), backend
         self._several = any(emitter.output > 1 for emitter in light.emitters)
+        self._cutoff = Cutoff(self._clock, lambda: made_safe(self.name))
         self._in_use = False
         self._usb: UsbInterface | None = None
         self._port: ScpiPort | None = None
@@ -78,34 +80,37 @@ class ScpiSupplyLamp(OpenedByWith):
 
         Raises `DeviceError` also where an output cannot deliver what the rig asks of it.
         """
-        if self._port is not None:
-            return
-        usb = UsbInterface(find_device(self._wanted, self._backend), self.name)
-        try:
-            usb.open()
-            port = ScpiPort(self.name, TmcPipe(usb, self._clock), self._clock)
-            port.reset_interface()
-            self.identity = port.query("*IDN?")
-            for number, emitter in enumerate(self._emitters):
-                self._prepare(port, number, emitter)
-        except BaseException:
-            usb.close()
-            raise
-        self._usb, self._port = usb, port
-        self._in_use = True
+        with self._cutoff.call(), self._cutoff.exchange():
+            if self._port is not None:
+                return
+            usb = UsbInterface(find_device(self._wanted, self._backend), self.name)
+            try:
+                usb.open()
+                port = ScpiPort(self.name, TmcPipe(usb, self._clock), self._cutoff)
+                port.reset_interface()
+                self.identity = port.query("*IDN?")
+                for number, emitter in enumerate(self._emitters):
+                    self._prepare(port, number, emitter)
+            except BaseException:
+                usb.close()
+                raise
+            self._usb, self._port = usb, port
+            self._in_use = True
 
     def close(self) -> None:
         """Switch the outputs off and let go of the supply; never raises."""
         self._in_use = False
-        if self._port is not None:
-            with suppress(DeviceError):  # whoever must know that it is dark calls `make_safe` first
-                self._switch_off(self._port)
-        self._disconnect()
+        with self._cutoff.stop(), self._cutoff.exchange():
+            if self._port is not None:
+                with suppress(DeviceError):  # whoever must know that it is dark calls `make_safe` first
+                    self._switch_off(self._port)
+            self._disconnect()
 
     def make_safe(self) -> None:
-        """Go dark, where the lamp is in use."""
-        if self._in_use:
-            self.dark()
+        """Go dark, where the lamp is in use, also in the middle of another thread's call, which then fails."""
+        with self._cutoff.stop():
+            if self._in_use:
+                self.dark()
 
     def dark(self) -> None:
         """All outputs off."""
@@ -128,19 +133,24 @@ class ScpiSupplyLamp(OpenedByWith):
         return self._carry_out(lambda port: self._light(port, levels))
 
     def _carry_out(self, act: Callable[[ScpiPort], T]) -> T:
-        if self._in_use:
-            self.open()
-        if self._port is None:
-            raise DeviceError(f"{self.name}: it is not open; open it first")
-        try:
-            return act(self._port)
-        except (UsbError, TmcError):
-            self._disconnect()  # the next call finds and clears it anew
-            raise
-        except DeviceError:
-            with suppress(DeviceError):  # the first failure is the one to tell
-                self._switch_off(self._port)
-            raise
+        with self._cutoff.call():
+            if self._in_use:
+                self.open()
+            port = self._port
+            if port is None:
+                raise DeviceError(f"{self.name}: it is not open; open it first")
+            try:
+                return act(port)
+            except CutShortError:
+                raise
+            except (UsbError, TmcError):
+                with self._cutoff.exchange():
+                    self._disconnect()  # the next call finds and clears it anew
+                raise
+            except DeviceError:
+                with suppress(DeviceError):  # the first failure is the one to tell
+                    self._switch_off(port)
+                raise
 
     def _disconnect(self) -> None:
         usb, self._usb, self._port = self._usb, None, None
@@ -180,7 +190,7 @@ class ScpiSupplyLamp(OpenedByWith):
     def _light(self, port: ScpiPort, levels: Sequence[float]) -> tuple[float, ...]:
         currents = [self._set(port, emitter, level) for emitter, level in zip(self._emitters, levels, strict=True)]
         if any(levels):
-            self._clock.sleep(self._warm_up_s)
+            self._cutoff.sleep(self._warm_up_s)
         for emitter, current in zip(self._emitters, currents, strict=True):
             if current:
                 self._confirm(port, emitter, current)
@@ -221,7 +231,7 @@ class ScpiSupplyLamp(OpenedByWith):
                 return
             if self._clock.now() >= deadline:
                 break
-            self._clock.sleep(METER_POLL_S)
+            self._cutoff.sleep(METER_POLL_S)
         story = f"{self.name}: output {emitter.output} is set to {current:g} A and delivers {measured:g} A"
         if measured < DEAD_SHARE * current:
             raise DeviceError(f"{story}, its light is dead; check LED and wiring")

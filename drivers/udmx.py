@@ -58,23 +58,25 @@ class UdmxLamp(DmxLamp):
 
     def open(self) -> None:
         """Find the dongle, claim it, and go dark."""
-        if self._usb is not None:
-            return
-        usb = UsbInterface(find_device(self._wanted, self._backend), self.name)
-        try:
-            usb.open()
-            self._usb, self._shown = usb, None
-            self.dark()
-        except BaseException:
-            self._disconnect()
-            usb.close()
-            raise
-        self._in_use = True
+        with self._cutoff.call(), self._cutoff.exchange():
+            if self._usb is not None:
+                return
+            usb = UsbInterface(find_device(self._wanted, self._backend), self.name)
+            try:
+                usb.open()
+                self._usb, self._shown = usb, None
+                self.dark()
+            except BaseException:
+                self._disconnect()
+                usb.close()
+                raise
+            self._in_use = True
 
     def close(self) -> None:
         """Let go of the dongle. It goes on sending its last levels: `make_safe` first."""
         self._in_use = False
-        self._disconnect()
+        with self._cutoff.stop(), self._cutoff.exchange():
+            self._disconnect()
 
     def _show(self, channels: bytes) -> float:
         if self._in_use:
@@ -83,18 +85,18 @@ class UdmxLamp(DmxLamp):
             raise DeviceError(f"{self.name}: it is not open; open it first")
         for left in reversed(range(TRIES)):
             try:
-                self._send(self._usb, channels)
+                self._transfer(self._usb, channels)
                 break
             except UsbError as error:
                 self._shown = None
                 if not left or not error.may_pass:
                     self._disconnect()
                     raise
-                self._clock.sleep(PAUSE_S)
+                self._cutoff.sleep(PAUSE_S)
         self._shown = channels
         return FRAME_S
 
-    def _send(self, usb: UsbInterface, channels: bytes) -> None:
+    def _transfer(self, usb: UsbInterface, channels: bytes) -> None:
         first, stop = 0, CHANNELS
         if self._shown is not None:
             changed = [i for i in range(CHANNELS) if channels[i] != self._shown[i]]

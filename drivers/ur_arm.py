@@ -9,6 +9,7 @@ is for a person who sees it.
 from __future__ import annotations
 
 import math
+import socket
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, Final
@@ -16,6 +17,7 @@ from typing import Any, Final
 from drivers.ur_session import ArmState
 from drivers.worker import Worker
 from stage.clock import Clock, SystemClock
+from stage.cutoff import Cutoff, CutShortError
 from stage.devices import Arrival, OpenedByWith
 from stage.errors import DeviceError
 from stage.rig import RevoluteJoint, UrMotion
@@ -24,6 +26,8 @@ START_S: Final = 15.0
 CALL_S: Final = 8.0
 """ur-rtde itself gives up on a command after 4 s."""
 RELEASE_S: Final = 2.0
+DASHBOARD_PORT: Final = 29999
+DASHBOARD_S: Final = 1.0
 POLL_S: Final = 0.05
 STALL_S: Final = 1.0
 """An arm that is short of its goal and has not moved for so long is stuck."""
@@ -86,12 +90,15 @@ class UrArm(OpenedByWith):
         tolerance_rad: float = math.radians(0.5),
         clock: Clock | None = None,
     ) -> None:
-        self._name = f"robot arm at {host}"
+        self._name, self._host = f"robot arm at {host}", host
         self._joints = tuple(joints)
         self._settle_s, self._tolerance = settle_s, tolerance_rad
         self._clock = clock or SystemClock()
         self._worker = Worker("drivers.ur_session:UrSession", {"host": host}, self._name)
         self._in_use = self._controlled = False
+        self._cutoff = Cutoff(
+            self._clock, lambda: f"{self._name}: the move was cut short to make the arm safe; move again when it is"
+        )
 
     @classmethod
     def from_rig(cls, motion: UrMotion, clock: Clock | None = None) -> UrArm:
@@ -113,6 +120,73 @@ class UrArm(OpenedByWith):
         """Connect, check that the arm is fit to be moved and stands within its limits, and take control of it."""
         if self._in_use and self._controlled and self._worker.alive:
             return
+        with self._cutoff.call():
+            self._begin()
+
+    def close(self) -> None:
+        """End the control program and hang up; the arm holds where it is."""
+        self._in_use = False
+        with self._cutoff.stop():
+            self._let_go()
+
+    def make_safe(self) -> None:
+        """Stop and wait until the arm stands still; it holds itself up, with or without power.
+
+        The call of another thread is cut short: the control program is stopped over a connection of its own, so that
+        nobody need wait for what is being asked of it, and the process that talks to it is replaced.
+        """
+        if not self._in_use:
+            return
+        with self._cutoff.stop() as interrupts:
+            if interrupts:
+                with suppress(OSError):  # then it is the watchdog that stops it, once the process is gone
+                    self._stop_program()
+                self._worker.close()
+            self._connect()
+            self._ask("stop", DECELERATION)
+            deadline = self._clock.now() + GRACE_S
+            while not _still(self._state()):
+                if self._clock.now() > deadline:
+                    raise DeviceError(f"{self._name}: it was told to stop and still moves; press the red button")
+                self._clock.sleep(POLL_S)
+
+    def positions(self) -> tuple[float, ...]:
+        """Where the joints are now, as their encoders say, radians."""
+        self._require_open()
+        with self._cutoff.call():
+            self._connect()
+            return self._state().angles
+
+    def move_to(self, targets: Sequence[float]) -> Arrival:
+        """See `stage.devices.AxisGroup.move_to`; no joint is faster than its profile, the others keep in step."""
+        self._check(targets)
+        self._require_open()
+        with self._cutoff.call():
+            return self._move(targets)
+
+    def _move(self, targets: Sequence[float]) -> Arrival:
+        self.open()
+        state = self._fit_state()
+        ways = [abs(target - here) for target, here in zip(targets, state.angles, strict=True)]
+        speed, acceleration = self._leading(ways)
+        expected_s = _travel_s(max(ways), speed, acceleration) / max(state.speed_fraction, 0.01)
+        begun = self._clock.now()
+        try:
+            self._ask("move", tuple(targets), speed, acceleration)
+            self._watch(targets, begun + 2 * expected_s + GRACE_S)
+            arrived = self._clock.now()
+            self._cutoff.sleep(self._settle_s)
+            here = self._fit_state().angles
+            self._require_arrival(targets, here, "has drifted off after settling")
+        except CutShortError:
+            raise
+        except DeviceError as error:
+            self._cutoff.check()
+            self._stop_after(error)
+            raise
+        return Arrival(here, move_s=arrived - begun, settle_s=self._clock.now() - arrived)
+
+    def _begin(self) -> None:
         self._let_go()  # ur-rtde starts its program dependably on a new connection only
         try:
             self._connect()
@@ -132,70 +206,34 @@ class UrArm(OpenedByWith):
             raise
         self._in_use = True
 
-    def close(self) -> None:
-        """End the control program and hang up; the arm holds where it is."""
-        self._in_use = False
-        self._let_go()
-
-    def make_safe(self) -> None:
-        """Stop and wait until the arm stands still; it holds itself up, with or without power."""
-        if not self._in_use:
-            return
-        self._connect()
-        self._ask("stop", DECELERATION)
-        deadline = self._clock.now() + GRACE_S
-        while not _still(self._state()):
-            if self._clock.now() > deadline:
-                raise DeviceError(f"{self._name}: it was told to stop and still moves; press the red button")
-            self._clock.sleep(POLL_S)
-
-    def positions(self) -> tuple[float, ...]:
-        """Where the joints are now, as their encoders say, radians."""
-        self._require_open()
-        self._connect()
-        return self._state().angles
-
-    def move_to(self, targets: Sequence[float]) -> Arrival:
-        """See `stage.devices.AxisGroup.move_to`; no joint is faster than its profile, the others keep in step."""
-        self._check(targets)
-        self._require_open()
-        self.open()
-        state = self._fit_state()
-        ways = [abs(target - here) for target, here in zip(targets, state.angles, strict=True)]
-        speed, acceleration = self._leading(ways)
-        expected_s = _travel_s(max(ways), speed, acceleration) / max(state.speed_fraction, 0.01)
-        begun = self._clock.now()
-        try:
-            self._ask("move", tuple(targets), speed, acceleration)
-            self._watch(targets, begun + 2 * expected_s + GRACE_S)
-            arrived = self._clock.now()
-            self._clock.sleep(self._settle_s)
-            here = self._fit_state().angles
-            self._require_arrival(targets, here, "has drifted off after settling")
-        except DeviceError as error:
-            self._stop_after(error)
-            raise
-        return Arrival(here, move_s=arrived - begun, settle_s=self._clock.now() - arrived)
-
     def _require_open(self) -> None:
         if not self._in_use:
             raise DeviceError(f"{self._name}: the arm is not open; open the device first")
 
     def _connect(self) -> None:
         """Connect where there is no connection, without taking control."""
-        if not self._worker.alive:
-            self._controlled = False
-            self._worker.start(START_S)
+        with self._cutoff.exchange():
+            if not self._worker.alive:
+                self._controlled = False
+                self._worker.start(START_S)
+
+    def _stop_program(self) -> None:
+        """Have the dashboard server stop whatever program runs; raises `OSError` where it does not answer."""
+        with socket.create_connection((self._host, DASHBOARD_PORT), DASHBOARD_S) as dashboard:
+            dashboard.recv(1024)  # its greeting
+            dashboard.sendall(b"stop\n")
+            dashboard.recv(1024)
 
     def _ask(self, method: str, *args: Any) -> Any:
         """Call the session; one that fails is given up, so that the next call begins anew."""
-        if not self._worker.alive:
-            raise DeviceError(f"{self._name}: the process that talks to it has died before {method}; try again")
-        try:
-            return self._worker.call(method, *args, timeout_s=CALL_S)
-        except DeviceError:
-            self._worker.close()
-            raise
+        with self._cutoff.exchange():
+            if not self._worker.alive:
+                raise DeviceError(f"{self._name}: the process that talks to it has died before {method}; try again")
+            try:
+                return self._worker.call(method, *args, timeout_s=CALL_S)
+            except DeviceError:
+                self._worker.close()
+                raise
 
     def _state(self) -> ArmState:
         state: ArmState = self._ask("state")
@@ -252,7 +290,7 @@ class UrArm(OpenedByWith):
         seen: tuple[float, ...] | None = None
         changed = self._clock.now()
         while True:
-            self._clock.sleep(POLL_S)
+            self._cutoff.sleep(POLL_S)
             state, now = self._fit_state(), self._clock.now()
             if state.move_ended and _still(state):
                 self._require_arrival(targets, state.angles, "has stopped short")
@@ -286,11 +324,12 @@ class UrArm(OpenedByWith):
             error.add_note(f"and the arm could not be told to stop: {unsafe}")
 
     def _let_go(self) -> None:
-        self._controlled = False
-        if self._worker.alive:
-            with suppress(DeviceError):  # a program that we cannot end is stopped by its watchdog
-                self._worker.call("release", timeout_s=RELEASE_S)
-        self._worker.close()
+        with self._cutoff.exchange():
+            self._controlled = False
+            if self._worker.alive:
+                with suppress(DeviceError):  # a program that we cannot end is stopped by its watchdog
+                    self._worker.call("release", timeout_s=RELEASE_S)
+            self._worker.close()
 
 
 def _still(state: ArmState) -> bool:

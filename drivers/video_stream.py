@@ -51,12 +51,10 @@ class _Frame:
 
 @dataclass(frozen=True)
 class Picture:
-    """What a call brings back.
+    """How a picture was taken.
 
     Attributes
     ----------
-    data : bytes
-        PNG, 8 bits of one frame or 16 bits of the mean of several.
     waited_s : float
         From the request to the arrival of the last frame.
     rate_hz : float
@@ -65,7 +63,6 @@ class Picture:
         Frames that were torn, of a wrong size or repeated, and left out.
     """
 
-    data: bytes
     waited_s: float
     rate_hz: float
     unusable: int
@@ -105,6 +102,7 @@ class VideoStream:
         self._news = threading.Condition()
         self._errands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._wanted: deque[_Frame] | None = None
+        self._taken: list[Samples] = []
         self._intervals: deque[float] = deque(maxlen=INTERVALS)
         self._last_arrival_s = time.monotonic()
         self._failure = ""
@@ -151,7 +149,7 @@ class VideoStream:
             raise self._silent() from None
 
     def picture(self, count: int, exposure_s: float, latency_s: float, exposure_is_new: bool) -> Picture:
-        """Mean of frames that all began to be exposed after this call.
+        """Take frames that all began to be exposed after this call; `data` is their mean.
 
         A frame that began just before arrives once it is exposed and sent: one that comes later than that began later.
 
@@ -189,7 +187,12 @@ class VideoStream:
                     continue
                 in_a_row = 0
                 chosen.append(samples)
-        return Picture(_png(chosen), frame.arrived_s - requested_s, 1 / float(np.median(frame.intervals)), unusable)
+        self._taken = chosen
+        return Picture(frame.arrived_s - requested_s, 1 / float(np.median(frame.intervals)), unusable)
+
+    def data(self) -> bytes:
+        """The latest picture as PNG: 8 bits of one frame, or 16 bits of the mean of several."""
+        return _png(self._taken)
 
     def _first_size(self, deadline_s: float) -> tuple[int, int]:
         """Width and height of the first whole frame."""

@@ -177,15 +177,15 @@ class Wiring:
     def camera(self, place: CameraPlace) -> Part:
         """The camera."""
         match place.device:
-            case PtpUsb():
-                camera = PtpResponder(self.world)
+            case PtpUsb() as device:
+                camera = PtpResponder(self.world, **dict(device.timing))
                 return Part(camera, UsbPlug(self.usb, StillImageFunction(camera)), camera.board, "usb")
-            case PtpIp():
-                camera = PtpResponder(self.world)
+            case PtpIp() as device:
+                camera = PtpResponder(self.world, **dict(device.timing))
                 port = PtpIpPort(camera, self.clock)
                 return Part(camera, port, camera.board, port.address)
-            case Gphoto2():
-                camera = PtpResponder(self.world)
+            case Gphoto2() as device:
+                camera = PtpResponder(self.world, **dict(device.timing))
                 port = PtpIpPort(camera, self.clock)
                 return Part(camera, port, camera.board, f"ptpip:{port.address}")
             case OpenCvStream() as device:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol
 
 
@@ -17,6 +18,18 @@ class Clock(Protocol):
         """Return once `now` has advanced by `seconds` (at once where that is not positive)."""
         ...
 
+    def at_work(self) -> AbstractContextManager[None]:
+        """A piece of work, which counts from this call until its context is left by the thread that entered it.
+
+        Simulated time stands still while any piece of work is under way whose thread does not sleep. So work that goes
+        on side by side takes as long as the longest, and not as long as all of it together.
+        """
+        ...
+
+    def resting(self) -> AbstractContextManager[None]:
+        """A break in this thread's piece of work, in which it waits for the work of other threads."""
+        ...
+
 
 class SystemClock:
     """The clock on the wall."""
@@ -29,3 +42,11 @@ class SystemClock:
         """Block the calling thread."""
         if seconds > 0:
             time.sleep(seconds)
+
+    def at_work(self) -> AbstractContextManager[None]:
+        """Nothing to do: time passes by itself."""
+        return nullcontext()
+
+    def resting(self) -> AbstractContextManager[None]:
+        """Nothing to do, either."""
+        return nullcontext()

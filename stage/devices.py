@@ -19,7 +19,11 @@ from stage.errors import DeviceError
 
 @runtime_checkable
 class Device(Protocol):
-    """Anything that is opened, used and put away."""
+    """Anything that is opened, used and put away.
+
+    One thread calls a device at a time; `make_safe` alone may be called from another while a call is in progress, which
+    then ends soon with `DeviceError`. A camera's `download` may have a thread of its own.
+    """
 
     @property
     def name(self) -> str:
@@ -116,6 +120,28 @@ class Lamp(Device, Protocol):
 
 
 @dataclass(frozen=True)
+class Exposure:
+    """A photograph that was taken and is still in the camera.
+
+    Attributes
+    ----------
+    exposure_s : float
+        Exposure time that the camera was set to, seconds.
+    started_s : float
+        When the exposure was asked for, on the clock of the camera's driver.
+    expose_s : float
+        Seconds until the light was free to move on.
+    handle : object
+        What the driver fetches it by.
+    """
+
+    exposure_s: float
+    started_s: float
+    expose_s: float
+    handle: object
+
+
+@dataclass(frozen=True)
 class CapturedFrame:
     """One photograph as the camera filed it.
 
@@ -130,7 +156,7 @@ class CapturedFrame:
     started_s : float
         When the exposure was asked for, on the clock of the camera's driver.
     expose_s, download_s : float
-        Seconds until the camera announced the file (exposure and read-out), and until it was here.
+        Seconds until the light was free to move on, and of the download with the wait for the camera's announcement.
     metadata : mapping of str to str
         Whatever else the device tells (maker, model, serial number, capture date).
     """
@@ -152,8 +178,35 @@ class FrameCamera(Device, Protocol):
         """Raise `InputError`, naming the nearest, where the camera does not offer an exposure time."""
         ...
 
+    def nearest_exposure(self, exposure_s: float) -> float:
+        """The nearest exposure time that the camera offers, seconds; the same where it takes any."""
+        ...
+
+    def expose(self, exposure_s: float) -> Exposure:
+        """Expose once, and return when the shutter is closed for certain: the light may move on.
+
+        Raises `InputError` for an exposure time that the camera does not offer.
+        """
+        ...
+
+    def download(self, exposure: Exposure) -> CapturedFrame:
+        """Fetch what `expose` has taken, once, before the next exposure, in this or another thread.
+
+        Raises `DeviceError` where the file does not come, or is not of that exposure: it must be taken again.
+        """
+        ...
+
     def capture(self, exposure_s: float) -> CapturedFrame:
-        """Expose once and return the file; raises `InputError` for an exposure that the camera does not offer."""
+        """Expose and download, and once more where that went wrong; raises `InputError` as `expose` does."""
+        ...
+
+
+@runtime_checkable
+class Thermometer(Protocol):
+    """A device that can tell how hot its parts are, whatever else it does."""
+
+    def temperatures_c(self) -> Mapping[str, float]:
+        """Temperature of each part by its name, degrees Celsius; raises `DeviceError` where it cannot be read."""
         ...
 
 

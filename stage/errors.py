@@ -1,4 +1,4 @@
-"""The two ways a command can fail that a person at the stage can do something about."""
+"""The ways a command can end that a person at the stage can do something about."""
 
 
 class InputError(ValueError):
@@ -7,3 +7,7 @@ class InputError(ValueError):
 
 class DeviceError(RuntimeError):
     """A device failed: one sentence that names the device, what was sent, what came back and what to do next."""
+
+
+class EndedEarlyError(RuntimeError):
+    """Somebody ended it before it was complete: one sentence that says who wanted what, and how to go on."""

@@ -15,10 +15,12 @@ whose view the stage fills.
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Sequence
 
 from stage.clock import Clock
+from stage.cutoff import Cutoff
 from stage.devices import Lamp, OpenedByWith
 from stage.errors import DeviceError
 from stage.validation import shortened
@@ -36,6 +38,7 @@ class FlashGuard(OpenedByWith):
 
     Going dark is never refused. A flash shows at some time between a call and its return, so a second is counted from
     the return of one call to the next call. After a failure the lamp is taken to be dark: the next light is a flash.
+    Once `make_safe` has returned, no call that began before lights the lamp, in whatever thread.
 
     Parameters
     ----------
@@ -51,6 +54,8 @@ class FlashGuard(OpenedByWith):
         self._lamp, self._clock, self._allowed = lamp, clock, allowed
         self._lowest = [0.0] * (lamp.emitters + 1)  # of each emitter and of their sum, since its last flash
         self._flashed_s: deque[float] = deque(maxlen=FLASHES)
+        self._books = threading.Lock()
+        self._cutoff = Cutoff(clock, lambda: f"{self.name}: it was made safe meanwhile; nothing was lit")
 
     @property
     def name(self) -> str:
@@ -72,9 +77,15 @@ class FlashGuard(OpenedByWith):
         self._lamp.close()
 
     def make_safe(self) -> None:
-        """Go dark, whenever."""
-        self._take_for_dark()
-        self._lamp.make_safe()
+        """Go dark, whenever, also in the middle of another thread's call, which then fails."""
+        with self._cutoff.stop() as interrupts:
+            self._take_for_dark()
+            self._lamp.make_safe()
+            if interrupts:
+                # that call may have been on its way to the lamp, and have reached it since
+                with self._cutoff.exchange(meanwhile=self._lamp.make_safe):
+                    self._lamp.make_safe()
+                    self._take_for_dark()
 
     def dark(self) -> None:
         """Go dark, whenever."""
@@ -83,10 +94,11 @@ class FlashGuard(OpenedByWith):
 
     def pause_s(self) -> float:
         """Seconds to wait before a further flash is permitted; zero where it is permitted now."""
-        if self._allowed or len(self._flashed_s) < FLASHES:
-            return 0.0
-        left = self._flashed_s[0] + WINDOW_S - self._clock.now()
-        return left + MARGIN_S if left >= 0 else 0.0
+        with self._books:
+            if self._allowed or len(self._flashed_s) < FLASHES:
+                return 0.0
+            left = self._flashed_s[0] + WINDOW_S - self._clock.now()
+            return left + MARGIN_S if left >= 0 else 0.0
 
     def set_level(self, level: float) -> tuple[float, ...]:
         """See `set_levels`."""
@@ -100,6 +112,12 @@ class FlashGuard(OpenedByWith):
         DeviceError
             Where the change would be the fourth flash within a second, and nothing was changed; see `pause_s`.
         """
+        with self._cutoff.call(), self._cutoff.exchange():
+            really = self._set_levels(levels)
+            self._cutoff.check()
+        return really
+
+    def _set_levels(self, levels: Sequence[float]) -> tuple[float, ...]:
         shown, lowest = [*levels, sum(levels)], self._lowest
         rises = [now - low > RISE - ROUNDING for now, low in zip(shown, lowest, strict=False)]
         pause_s = self.pause_s() if any(rises) else 0.0
@@ -116,12 +134,15 @@ class FlashGuard(OpenedByWith):
             raise
         finally:
             if any(rises):
-                self._flashed_s.append(self._clock.now())
-        if self._lowest is lowest:  # or else another thread has gone dark meanwhile
-            self._lowest = [
-                now if risen else min(now, low) for now, risen, low in zip(shown, rises, lowest, strict=True)
-            ]
+                with self._books:
+                    self._flashed_s.append(self._clock.now())
+        with self._books:
+            if self._lowest is lowest:  # or else another thread has gone dark meanwhile
+                self._lowest = [
+                    now if risen else min(now, low) for now, risen, low in zip(shown, rises, lowest, strict=True)
+                ]
         return really
 
     def _take_for_dark(self) -> None:
-        self._lowest = [0.0] * len(self._lowest)
+        with self._books:
+            self._lowest = [0.0] * len(self._lowest)

@@ -26,7 +26,44 @@ class CameraDevice(RigPart):
     transfer: str = Field(default="srgb", pattern=r"^(linear|srgb|gamma:\d+(\.\d+)?)$")
 
 
-class PtpUsb(CameraDevice):
+class StillTiming(RigPart):
+    """How long a still camera takes for what it does; a simulated one takes just that.
+
+    Attributes
+    ----------
+    readout_s : float
+        From the end of an exposure to the file on the card.
+    download_s : float
+        For a file to come over the wire.
+    recovery_s : float
+        For so long after a file is on the card the next release is refused.
+    """
+
+    readout_s: NonNegative = 0.05
+    download_s: NonNegative = 0.0
+    recovery_s: NonNegative = 0.0
+
+
+class StillCameraDevice(CameraDevice):
+    """What all still cameras have in common.
+
+    Attributes
+    ----------
+    iso : int or None
+        Sensitivity to set on opening; None leaves the camera's own setting.
+    shutter_lag_s : float or None
+        Longest time from a release to the opening of the shutter. Where it is given, the light moves on once that and
+        the exposure are over, while the camera reads out; where not, once the camera announces the file.
+    timing : StillTiming
+        How slow the simulated camera is; a real one is as slow as it is.
+    """
+
+    iso: PositiveInt | None = None
+    shutter_lag_s: NonNegative | None = None
+    timing: StillTiming = StillTiming()
+
+
+class PtpUsb(StillCameraDevice):
     """A still camera that speaks PTP over USB.
 
     Attributes
@@ -37,8 +74,6 @@ class PtpUsb(CameraDevice):
         USB ids; None takes any still-image device.
     serial : str or None
         USB serial number, where several cameras of one make are plugged in.
-    iso : int or None
-        Sensitivity to set on opening; None leaves the camera's own setting.
     """
 
     driver: Literal["ptp-usb"]
@@ -46,23 +81,20 @@ class PtpUsb(CameraDevice):
     vendor_id: int | None = Field(default=None, ge=0, le=0xFFFF)
     product_id: int | None = Field(default=None, ge=0, le=0xFFFF)
     serial: str | None = None
-    iso: PositiveInt | None = None
 
 
-class PtpIp(CameraDevice):
+class PtpIp(StillCameraDevice):
     """A still camera that speaks PTP over a network; `port` is ``HOST`` or ``HOST:PORT``."""
 
     driver: Literal["ptp-ip"]
     port: str = Field(min_length=1)
-    iso: PositiveInt | None = None
 
 
-class Gphoto2(CameraDevice):
+class Gphoto2(StillCameraDevice):
     """A still camera that libgphoto2 knows; `port` is ``usb:``, ``usb:BUS,DEVICE`` or ``ptpip:HOST[:PORT]``."""
 
     driver: Literal["gphoto2"]
     port: str = "usb:"
-    iso: PositiveInt | None = None
 
 
 class OpenCvStream(CameraDevice):

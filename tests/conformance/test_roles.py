@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import random
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
@@ -220,3 +224,96 @@ def test_unplugged_devices_fail_in_one_sentence_and_work_again_once_plugged_in(
         device.open()
     device.make_safe()
     plug.plug_in()
+
+
+class Side:
+    """Something that a thread of its own does, until it is done or raises."""
+
+    def __init__(self, act: Callable[[], object], work: AbstractContextManager[None]) -> None:
+        self.error: BaseException | None = None
+        self.ended = threading.Event()
+        self._act, self._work = act, work
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def join(self) -> BaseException | None:
+        """Wait for the end, and return what was raised."""
+        self._thread.join(20)
+        assert not self._thread.is_alive()
+        return self.error
+
+    def _run(self) -> None:
+        try:
+            with self._work:
+                self._act()
+        except Exception as error:
+            self.error = error
+        finally:
+            self.ended.set()
+
+
+def test_make_safe_of_another_thread_stops_a_long_move_at_once(workshop: Workshop, wires: Wires) -> None:
+    if wires.world is None:
+        pytest.skip("on a bench joints are not sent far")
+    clock = wires.clock
+    with workshop.motion() as motion:
+        if not motion.limits:
+            pytest.skip("nothing moves")
+        for after_s in (0.4, 0.41, 0.43):
+            here = motion.positions()
+            ends = motion.limits if after_s != 0.41 else [(high, low) for low, high in motion.limits]
+            goal = tuple(low if abs(at - low) > 0.2 else high for at, (low, high) in zip(here, ends, strict=True))
+            with clock.at_work():
+                mover = Side(lambda goal=goal: motion.move_to(goal), clock.at_work())
+                clock.sleep(after_s)
+                begun_s, began_s = clock.now(), time.monotonic()
+                motion.make_safe()
+                assert clock.now() - begun_s < 1.0
+                assert time.monotonic() - began_s < 10.0
+            error = mover.join()
+            assert isinstance(error, DeviceError), error
+            assert "cut short" in str(error)
+            stood = motion.positions()
+            assert not np.allclose(stood, goal, atol=0.01)
+            assert not np.allclose(stood, here, atol=1e-3)
+            clock.sleep(3.0)
+            np.testing.assert_allclose(motion.positions(), stood, atol=1e-9)
+        target = nearby(motion, wires)
+        np.testing.assert_allclose(motion.move_to(target).positions, target, atol=0.01)
+
+
+@lamps_awake
+def test_no_call_lights_a_lamp_that_was_made_safe_meanwhile(workshop: Workshop, wires: Wires) -> None:
+    world, clock, chance = wires.world, wires.clock, random.Random(4)
+    if world is None:
+        pytest.skip("who is at a bench is not shown that many flashes")
+    with workshop.lamp() as lamp:
+
+        def hammer() -> None:
+            while True:
+                for level in (1.0, 0.9, 0.8, 0.0):
+                    clock.sleep(lamp.pause_s())
+                    lamp.set_level(level)
+
+        for _ in range(15):
+            other = Side(hammer, wires.clock.at_work())
+            while not other.ended.wait(chance.uniform(0.0, 0.02)):  # between two calls there is nobody to tell
+                lamp.make_safe()
+            assert isinstance(other.join(), DeviceError)
+            for _ in range(2):
+                assert not world.light(clock.now())[1].any()
+                clock.sleep(1.0)
+        assert lamp.set_level(1.0) == (1.0,) * lamp.emitters
+
+
+def test_a_photograph_comes_whatever_is_made_safe_meanwhile(workshop: Workshop, wires: Wires) -> None:
+    with workshop.camera() as camera:
+        exposure_s = wires.rig.camera.device.exposure_s
+        photographer = Side(lambda: [camera.capture(exposure_s) for _ in range(5)], wires.clock.at_work())
+        camera.make_safe()
+        assert photographer.join() is None
+        exposure = camera.expose(camera.nearest_exposure(exposure_s))
+        assert exposure.expose_s > 0
+        assert camera.download(exposure).data
+        with pytest.raises(DeviceError, match="take the picture again"):
+            camera.download(exposure)

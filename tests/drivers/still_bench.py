@@ -51,13 +51,13 @@ class StillBench:
             self.port = PtpIpPort(self.camera, clock)
             self._undo.callback(self.port.close)
 
-    def photographer(self, **options: Any) -> PtpCamera:
+    def photographer(self, *, shutter_lag_s: float | None = None, **options: Any) -> PtpCamera:
         if self.wire == "usb":
-            device = PtpUsb(driver="ptp-usb", exposure_s=0.02, iso=200)
+            device = PtpUsb(driver="ptp-usb", exposure_s=0.02, iso=200, shutter_lag_s=shutter_lag_s)
             return PtpCamera.over_usb(device, clock=self.clock, backend=self.usb, **options)
         # waiting for a network takes real time
         return PtpCamera.over_ip(
-            PtpIp(driver="ptp-ip", port=self.port.address, exposure_s=0.02, iso=200),
+            PtpIp(driver="ptp-ip", port=self.port.address, exposure_s=0.02, iso=200, shutter_lag_s=shutter_lag_s),
             clock=self.clock,
             **{"answer_timeout_s": 0.4, "capture_timeout_s": 0.7, **options},
         )

@@ -25,8 +25,9 @@ from tests.drivers.still_bench import StillBench
 installed = pytest.mark.skipif(find_spec("gphoto2") is None, reason="the extra gphoto2 is not installed")
 
 
-def camera_on(port: str, iso: int | None = None, **options: Any) -> Gphoto2Camera:
-    return Gphoto2Camera(Gphoto2(driver="gphoto2", port=port, exposure_s=0.02, iso=iso), **options)
+def camera_on(port: str, iso: int | None = None, shutter_lag_s: float | None = None, **options: Any) -> Gphoto2Camera:
+    device = Gphoto2(driver="gphoto2", port=port, exposure_s=0.02, iso=iso, shutter_lag_s=shutter_lag_s)
+    return Gphoto2Camera(device, **options)
 
 
 @pytest.fixture
@@ -176,6 +177,27 @@ class TestAgainstTheSimulatedCamera:
             assert frame.data == bench.world.photographs[1]
             assert len(bench.world.photographs) == 2
             assert_works(bench, camera)
+
+    @pytest.mark.parametrize("trigger", [True, False])
+    def test_the_light_moves_on_before_the_file_is_announced_where_the_shutter_lag_is_known(
+        self, trigger: bool
+    ) -> None:
+        with (
+            StillBench("ip", SystemClock(), readout_s=0.6) as bench,
+            photographer(bench, shutter_lag_s=0.1, trigger=trigger) as camera,
+        ):
+            exposure = camera.expose(0.1)
+            assert exposure.expose_s >= 0.2
+            if trigger:  # or else libgphoto2 cannot but wait for the file
+                assert exposure.expose_s < 0.6
+            frame = camera.download(exposure)
+            assert frame.data == bench.world.photographs[0]
+            assert frame.expose_s == exposure.expose_s
+            assert frame.expose_s + frame.download_s >= 0.7
+            camera.expose(0.1)  # which nobody fetches
+            assert_works(bench, camera)
+            assert len(bench.world.photographs) == 3
+        assert bench.card() == 1
 
     def test_unplugged_in_mid_exposure_it_is_one_sentence_and_later_the_right_picture(self) -> None:
         clock = VirtualClock()

@@ -276,6 +276,34 @@ def test_the_watchdog_stops_the_arm_when_the_driver_is_killed(bench: Bench) -> N
     assert arm.move_to(FAR).positions == pytest.approx(FAR)  # a new process takes over
 
 
+def test_making_it_safe_does_not_wait_for_a_process_that_hangs(bench: Bench) -> None:
+    ended: list[DeviceError] = []
+
+    def move() -> None:
+        with pytest.raises(DeviceError, match="the move was cut short to make the arm safe") as failure:
+            bench.arm.move_to(FAR)
+        ended.append(failure.value)
+
+    def hang_up() -> None:
+        assert bench.arm._worker.pid is not None
+        os.kill(bench.arm._worker.pid, signal.SIGSTOP)
+        hangs.set()
+
+    hangs = threading.Event()
+    with bench.arm as arm:
+        bench.in_a_moment(hang_up)
+        mover = threading.Thread(target=move)
+        mover.start()
+        assert hangs.wait(10)
+        begun = time.monotonic()
+        arm.make_safe()
+        assert time.monotonic() - begun < 6.0  # with a new process; a call of the old one may take 8 s
+        mover.join(1.0)
+        assert ended
+        assert bench.stands_still()
+        assert arm.move_to(GOAL).positions == pytest.approx(GOAL)
+
+
 def test_a_lost_connection_is_reported_and_made_again_by_the_next_call(bench: Bench) -> None:
     with bench.arm as arm:
         bench.in_a_moment(bench.server.unplug)

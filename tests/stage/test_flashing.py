@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -235,3 +236,90 @@ def test_the_guard_is_a_lamp_and_passes_everything_on() -> None:
         assert guard.set_levels((0.25, 0.5)) == (0.25, 0.5)
     assert lamp.calls == ["open", "make_safe", "close"]
     assert lamp.shown[-1].levels == (0.0, 0.0)
+
+
+class HeldLamp(RecordingLamp):
+    """Does not know of `make_safe` in other threads, and calls somebody on the way into a call."""
+
+    before: Callable[[], None] = staticmethod(lambda: None)
+
+    def set_levels(self, levels: Sequence[float]) -> tuple[float, ...]:
+        self.before()
+        return super().set_levels(levels)
+
+
+@pytest.fixture
+def held() -> HeldLamp:
+    return HeldLamp(VirtualClock())
+
+
+def in_a_thread(act: Callable[[], object]) -> tuple[threading.Thread, list[DeviceError]]:
+    """Have a thread act, and keep its errors."""
+    errors: list[DeviceError] = []
+
+    def run() -> None:
+        try:
+            act()
+        except DeviceError as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread, errors
+
+
+def test_a_call_that_reaches_the_lamp_after_it_was_made_safe_is_undone_before_that_returns(held: HeldLamp) -> None:
+    on_its_way, go_on = threading.Event(), threading.Event()
+    guard = FlashGuard(held, held.clock)
+
+    def before() -> None:
+        on_its_way.set()
+        assert go_on.wait(10)
+
+    held.before = before
+    setter, errors = in_a_thread(lambda: guard.set_level(1.0))
+    assert on_its_way.wait(10)
+    safe, none = in_a_thread(guard.make_safe)
+    while held.calls.count("make_safe") < 3:  # it does not wait for that call, and keeps the lamp dark
+        threading.Event().wait(0.001)
+    assert safe.is_alive()
+    go_on.set()
+    safe.join(10)
+    setter.join(10)
+    assert not none
+    assert "lamp: it was made safe meanwhile" in str(errors[0])
+    assert held.shown[-1].levels == (0.0,)
+    assert (1.0,) in [shown.levels for shown in held.shown]  # a moment too late it was, which is a flash
+    held.before = lambda: None
+    for _ in range(2):
+        guard.set_level(1.0)
+        guard.dark()
+    with pytest.raises(DeviceError, match="flash number 4"):
+        guard.set_level(1.0)
+
+
+def test_calls_that_wait_for_another_or_begin_while_it_is_made_safe_do_not_reach_the_lamp(held: HeldLamp) -> None:
+    guard = FlashGuard(held, held.clock)
+    on_its_way, go_on = threading.Event(), threading.Event()
+
+    def before() -> None:
+        on_its_way.set()
+        assert go_on.wait(10)
+
+    held.before = before
+    first, first_errors = in_a_thread(lambda: guard.set_level(1.0))
+    assert on_its_way.wait(10)
+    second, second_errors = in_a_thread(lambda: guard.set_level(0.5))
+    safe, _ = in_a_thread(guard.make_safe)
+    while "make_safe" not in held.calls:
+        threading.Event().wait(0.001)
+    third, third_errors = in_a_thread(lambda: guard.set_level(0.25))
+    for thread in (second, third):
+        thread.join(10)
+    go_on.set()
+    for thread in (first, safe):
+        thread.join(10)
+    assert [len(errors) for errors in (first_errors, second_errors, third_errors)] == [1, 1, 1]
+    assert not {(0.5,), (0.25,)} & {shown.levels for shown in held.shown}
+    held.before = lambda: None
+    assert guard.set_level(0.25) == (0.25,)  # until somebody wants light again

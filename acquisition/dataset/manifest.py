@@ -83,7 +83,7 @@ def read_manifest(path: Path) -> Manifest:
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
-        tree = json.loads(text, object_pairs_hook=_without_repeats)
+        tree = json.loads(text, object_pairs_hook=without_repeats)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:
@@ -99,7 +99,8 @@ def read_manifest(path: Path) -> Manifest:
     return manifest
 
 
-def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object, for `json.loads`; raises `ValueError` where a key is said twice."""
     out = dict(pairs)
     if len(out) < len(pairs):
         names = [key for key, _ in pairs]

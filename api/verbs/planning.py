@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from acquisition.check import lamp_levels
+from acquisition.check import light_levels
 from acquisition.dataset import staged_file
 from acquisition.importing import load_any
-from acquisition.plan import CapturePlan, PlannedLight
+from acquisition.plan import CapturePlan, PlannedLight, plan_text
 from api.lights_file import read_lights
 from api.rig_file import read_calibrated_rig
 from api.surface_source import Surface, read_surface, surface_of
@@ -41,7 +40,7 @@ def plan(
     target: float | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Choose lights and write ``plan.json``.
+    """Choose lights and write ``plan.json``, or ``plan.yaml``.
 
     Parameters
     ----------
@@ -81,7 +80,7 @@ def plan(
             seen = read_surface(surface, description.camera.calibration() if description else None)
         chosen = choose_lights(lights, seen, method, count=count, target=target, progress=progress)
         written = capture_plan(lights, chosen, surface=surface or (candidates if seen is not None else None))
-        temporary.write_text(json.dumps(written.to_json(), indent=1) + "\n", encoding="utf-8")
+        temporary.write_text(plan_text(written, out), encoding="utf-8")
     return {"out": str(out), **chosen.to_json()}
 
 
@@ -141,7 +140,7 @@ def rig_lights(rig: Rig, *, source: str) -> list[Light]:
     """
     if isinstance(rig.motion, FixedDome):
         places = dict.fromkeys(emitter.position_m for emitter in rig.light.emitters)
-        return [rig.light_at((), lamp_levels(rig.light, PlannedLight(position=place))) for place in places]
+        return [rig.light_at((), light_levels(rig.light, PlannedLight(position=place))) for place in places]
     radius = rig.motion.kinematics.dome_radius_m
     if radius is None:
         raise InputError(f"{source}: motion.kinematics: can put the light anywhere; say where by --candidates")

@@ -114,6 +114,18 @@ class Motion(RigPart):
         InputError
             Where the position is not finite, out of reach, or reached only beyond the limits.
         """
+        start = self.home if near is None else tuple(near)
+        found = self.solutions_within_limits(position, start)
+        return min(found, key=lambda reached: (self.travel_s(start, reached), reached))
+
+    def solutions_within_limits(
+        self, position: ArrayLike, near: Sequence[float] | None = None
+    ) -> list[tuple[float, ...]]:
+        """All joint values that inverse kinematics finds within the limits, whole turns included; at least one.
+
+        Where infinitely many would do, as on the axis of a joint or with more than three joints, those found depend on
+        `near`. Parameters and errors are those of `joints_for_position`.
+        """
         place = checked_position(position)
         start = self.home if near is None else tuple(near)
         found = [
@@ -129,7 +141,7 @@ class Motion(RigPart):
                 f"motion.joints: no joint values within the limits ({spans}) put the light at "
                 f"{np.round(place, 4).tolist()} m"
             )
-        return min(found, key=lambda reached: (self.travel_s(start, reached), reached))
+        return found
 
     def _within_limits(self, solution: Sequence[float]) -> list[tuple[float, ...]]:
         """Those of a solution and its whole turns that the limits allow."""

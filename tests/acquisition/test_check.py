@@ -2,37 +2,23 @@
 
 from __future__ import annotations
 
-import shutil
+import math
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
-from acquisition.check import check, lamp_levels
-from acquisition.plan import CapturePlan, PlannedLight
+from acquisition.check import check, require_clock, require_exposures
+from acquisition.disk import Disk
+from acquisition.plan import CapturePlan
 from stage.errors import InputError
 from stage.lights import Light, dome
-from stage.rig import Rig
-from tests.acquisition.fake_stage import FakeStage, make_rig
+from tests.acquisition.fake_stage import FakeCamera, FakeStage, make_rig
+from tests.acquisition.multiplexed_dome import dome_rig
 
 RIG = make_rig()
-LIGHTS = [Light(position=light.position, intensity=(1, 1, 2)) for light in dome(4, [0.5, 1.0], 0.5)]
-
-
-def test_the_estimate_adds_up(tmp_path: Path) -> None:
-    plan = CapturePlan.choosing(LIGHTS, [0, 1], exposures_s=[0.1, 0.3], dark_frames=3)
-    cost = check(plan, RIG, tmp_path / "out", readout_s=0.5)
-    assert cost.shots == 10
-    assert cost.expose_s == pytest.approx(5 * 0.4)
-    assert cost.readout_s == 5.0
-    arm = RIG.motion
-    pan, tilt = arm.joints
-    way = [max(tilt.travel_s(0.5), 0), 0.0, pan.travel_s(np.pi / 2), 0.0]
-    assert cost.move_s == pytest.approx(sum(way) + 4 * arm.settle_s)
-    assert cost.total_s == pytest.approx(cost.move_s + cost.expose_s + cost.readout_s)
-    assert not (tmp_path / "out").exists()
+LIGHTS = [Light(position=light.position, intensity=(1, 1, 2)) for light in dome(3, [0.5, 1.0], 0.5)]
 
 
 @pytest.mark.parametrize(
@@ -51,82 +37,106 @@ def test_lights_that_the_rig_cannot_make(tmp_path: Path, light: Light, reason: s
     check(CapturePlan.choosing([*LIGHTS[:1], light], [0]), RIG, tmp_path / "out")
 
 
+class Choosy(FakeCamera):
+    """A camera with whole stops."""
+
+    offered = tuple(2.0**step for step in range(-10, 5))
+
+    def require_exposure(self, exposure_s: float) -> None:
+        if exposure_s not in self.offered:
+            raise InputError(f"exposure_s: the camera offers no {exposure_s:g} s")
+
+    def nearest_exposure(self, exposure_s: float) -> float:
+        return min(self.offered, key=lambda offered: abs(math.log(offered / exposure_s)))
+
+
+class SmallDisk(Disk):
+    def __init__(self, free_bytes: int) -> None:
+        self.free = free_bytes
+
+    def free_bytes(self, path: Path) -> int:
+        return self.free
+
+
+def plan_of(**fields: Any) -> CapturePlan:
+    return CapturePlan.choosing(LIGHTS, **fields)
+
+
+def choosy() -> Choosy:
+    stage = FakeStage()
+    return Choosy(stage.motion, stage.lamp)
+
+
 def test_exposures_that_the_camera_lacks(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"^plan: exposures_s: the camera offers no 30 s"):
-        check(CapturePlan.choosing(LIGHTS, exposures_s=[0.1, 30]), RIG, tmp_path, camera=FakeStage().camera)
+    with pytest.raises(InputError, match=r"^plan: exposures_s: the camera offers no 0\.3 s"):
+        check(plan_of(exposures_s=[0.25, 0.3]), RIG, tmp_path, camera=choosy())
+    check(plan_of(exposures_s=[0.25, 0.5]), RIG, tmp_path, camera=choosy())
     slow = RIG.camera.model_copy(update={"device": RIG.camera.device.model_copy(update={"exposure_s": 30.0})})
     with pytest.raises(InputError, match=r"^rig: camera\.device\.exposure_s: the camera offers no 30 s"):
-        check(
-            CapturePlan.choosing(LIGHTS), RIG.model_copy(update={"camera": slow}), tmp_path, camera=FakeStage().camera
-        )
+        check(plan_of(), RIG.model_copy(update={"camera": slow}), tmp_path, camera=choosy())
+    with pytest.raises(InputError, match=r"^plan: ev: \+0\.5 EV of 0\.25 s"):
+        check(plan_of(ev=[0, 0.5], exposures_s=[0.25]), RIG, tmp_path, camera=choosy())
+    # The rig's 0.05 s lies near 1/16 s; where no camera is asked, it stays.
+    assert require_exposures(plan_of(ev=[-1, 0]), RIG, choosy()).exposures_s == (1 / 32, 1 / 16)
+    assert require_exposures(plan_of(ev=[-1, 0]), RIG, None).exposures_s == (0.025, 0.05)
 
 
-def test_a_disk_that_is_too_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=10_000))
-    with pytest.raises(InputError, match="disk is too small"):
-        check(CapturePlan.choosing(LIGHTS, [0, 1, 5]), RIG, tmp_path / "a" / "b")
-    plan = CapturePlan.choosing(LIGHTS, [0], dark_frames=0)
-    check(plan, RIG, tmp_path, shots=plan.with_exposure(1.0).shots()[:0])
+def test_several_lights_at_a_time_need_a_dome(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^plan: multiplexing: .*fixed dome, and motion\.driver is 'dynamixel'"):
+        check(plan_of(multiplexing="on"), RIG, tmp_path)
+    assert check(plan_of(multiplexing="auto"), RIG, tmp_path) == check(plan_of(), RIG, tmp_path)
 
 
-def test_levels_of_the_lamp() -> None:
-    assert lamp_levels(RIG.light, PlannedLight(position=(0, 0, 1))) == (1.0,)
-    assert lamp_levels(RIG.light, PlannedLight(position=(0, 0, 1), intensity=(1, 1, 2))) == pytest.approx((0.5,))
-    assert lamp_levels(RIG.light, PlannedLight(position=(0, 0, 1), intensity=(0, 0, 0))) == (0.0,)
-    colours = RIG.light.model_validate(
-        {
-            "driver": "enttec-dmx-usb-pro",
-            "port": "x",
-            "emitters": [
-                {"channel": 1, "intensity": [2, 0, 0]},
-                {"channel": 2, "intensity": [0, 1, 0]},
-                {"channel": 3, "intensity": [0, 0, 4]},
-            ],
-        }
-    )
-    wanted = PlannedLight(position=(0, 0, 1), intensity=(1, 1, 1))
-    assert lamp_levels(colours, wanted) == pytest.approx((0.5, 1, 0.25))
+@pytest.mark.parametrize("multiplexing", ["on", "auto"])
+def test_patterns_of_a_dome(tmp_path: Path, multiplexing: str) -> None:
+    rig = dome_rig(5)
+    lights = [Light(position=emitter.position_m, intensity=emitter.intensity) for emitter in rig.light.emitters]
+    plan = CapturePlan.choosing(lights, multiplexing=multiplexing, dark_frames=1)
+    assert check(plan, rig, tmp_path).shots == 6
+    patterned = plan.with_patterns([[0, 1, 2], [2, 3, 4], [0, 3, 4]])
+    assert check(patterned, rig, tmp_path).shots == 4
+    beside = CapturePlan.choosing([*lights, Light(position=(1, 1, 1))], multiplexing="on")
+    with pytest.raises(InputError, match=r"^plan: candidates\[5\]\.position: .*the dome has no light at"):
+        check(beside.with_patterns([[0, 1, 2], [2, 3, 4, 5], [0, 3, 4]]), rig, tmp_path)
+    with pytest.raises(InputError, match=r"^plan: patterns\[0\]: only a fixed dome"):
+        check(plan_of(), RIG, tmp_path, shots=patterned.with_exposure(0.1).shots())
 
 
-def kept_out(**zone: Any) -> Rig:
-    return Rig.model_validate(RIG.to_json() | {"keep_out": [zone]})
+def test_a_disk_that_is_too_small(tmp_path: Path) -> None:
+    out = tmp_path / "a" / "b"
+    with pytest.raises(InputError, match=rf"^{out}: output: the disk is too small, 7 frames and .* 10 kB are free"):
+        check(plan_of(lights=[0, 1, 5]), RIG, out, disk=SmallDisk(10_000))
+    plan = plan_of(lights=[0], dark_frames=0)
+    check(plan, RIG, tmp_path, shots=plan.with_exposure(1.0).shots()[:0], disk=SmallDisk(10_000))
+    assert check(plan, RIG, out).free_bytes > 0
 
 
-def at(*position: float) -> Light:
-    return Light(position=position, intensity=(2, 2, 4))
-
-
-def test_a_light_in_a_keep_out_zone_is_refused_by_zone(tmp_path: Path) -> None:
-    rig = kept_out(kind="half-space", name="table", point_m=[0, 0, 0.05], normal=[0, 0, 1])
-    with pytest.raises(InputError, match=r"^plan: candidates\[0\]\.position: keep_out\[0\] \(half-space 'table'\)"):
-        check(CapturePlan.choosing([at(0.5, 0, 0)]), rig, tmp_path)
-    check(CapturePlan.choosing([at(0, 0, 0.5)]), rig, tmp_path)
-
-
-def test_a_zone_on_the_way_from_one_light_to_the_next_is_run_into(tmp_path: Path) -> None:
-    rig = kept_out(kind="sphere", centre_m=[0.5 * np.cos(0.5), 0.5 * np.sin(0.5), 0], radius_m=0.05)
-    there, beyond = at(0.5, 0, 0), at(0.5 * np.cos(1), 0.5 * np.sin(1), 0)
-    check(CapturePlan.choosing([there]), rig, tmp_path)
-    with pytest.raises(
-        InputError, match=r"candidates\[1\]\.position: on the way there from the light before, keep_out"
+def test_the_disk_has_to_hold_everything(tmp_path: Path) -> None:
+    pixels = RIG.camera.width * RIG.camera.height
+    raw, picture = 8 * pixels, 12 * pixels
+    everything: dict[str, Any] = {"background": True, "reference": {"every": 3, "candidate": 0}, "flat_frames": 2}
+    for fields, frames, pictures in (
+        ({}, 4 + 6, 6),
+        ({"exposures_s": [0.1, 0.2]}, 8 + 12, 6),
+        ({"repeats": 3}, 4 + 18, 6),
+        ({"background": True}, 4 + 12, 12),
+        ({"lights": [1, 2, 3], **everything}, 4 + 6 + 2 * 2 + 2, 6),
     ):
-        check(CapturePlan.choosing([there, beyond]), rig, tmp_path)
-    with pytest.raises(InputError, match=r"candidates\[0\]\.position: on the way there"):
-        check(CapturePlan.choosing([there]), rig, tmp_path, start=(1.0, 0.0))
+        cost = check(plan_of(**fields), RIG, tmp_path)
+        assert cost.shots == frames
+        assert cost.raw_bytes == frames * raw
+        # Beside each picture lies its variance.
+        assert cost.dataset_bytes == pictures * 2 * picture
+        just = math.ceil(1.1 * cost.size_bytes)
+        check(plan_of(**fields), RIG, tmp_path, disk=SmallDisk(just))
+        with pytest.raises(InputError, match="too small"):
+            check(plan_of(**fields), RIG, tmp_path, disk=SmallDisk(just - 2))
 
 
-def test_on_a_dome_only_the_lights_at_the_place_are_lit() -> None:
-    tree = RIG.to_json()
-    tree["motion"] = {"driver": "fixed-dome"}
-    tree["light"]["emitters"] = [
-        {"channel": 1, "intensity": [1, 0, 0], "position_m": [0, 0, 0.5]},
-        {"channel": 2, "intensity": [0, 2, 2], "position_m": [0, 0, 0.5]},
-        {"channel": 3, "intensity": [1, 1, 1], "position_m": [0.5, 0, 0]},
-    ]
-    lamp = Rig.model_validate(tree).light
-    above = PlannedLight(position=(0, 0, 0.5))
-    assert lamp_levels(lamp, above) == (1, 1, 0)
-    weaker = PlannedLight(position=(0, 0, 0.5), intensity=(0.5, 1, 1))
-    assert lamp_levels(lamp, weaker) == pytest.approx((0.5, 0.5, 0))
-    with pytest.raises(InputError, match=r"all its emitters together give \[1\.0, 1\.0, 1\.0\]"):
-        lamp_levels(lamp, PlannedLight(position=(0.5, 0, 0), intensity=(1, 0, 0)), 4)
+def test_a_clock_that_goes_backwards() -> None:
+    now = datetime(2026, 3, 1, 12, tzinfo=UTC)
+    require_clock(None, now, Path("out"))
+    require_clock(now, now, Path("out"))
+    require_clock(now - timedelta(days=1), now, Path("out"))
+    with pytest.raises(InputError, match=r"^out: output: the clock says 2026-03-01 12:00:00, .* 2026-03-01 12:00:01"):
+        require_clock(now + timedelta(seconds=1), now, Path("out"))

@@ -1,4 +1,4 @@
-"""From a camera's file to linear radiance.
+"""From a camera's file to numbers that are linear in light.
 
 Of a RAW file, one pixel is made of each 2 x 2 block of the colour mosaic: its red, the mean of its two greens, its
 blue. That halves the resolution and invents nothing: every value is an average of photosites of its own colour, noise
@@ -10,7 +10,7 @@ from light to light.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -22,13 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition.dataset.transfer import decode
 from acquisition.pictures import stored_samples
 from stage.errors import DeviceError, InputError
-from stage.lights import Triple
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
 
 DEMOSAIC = "one pixel per 2 x 2 block (red, mean of both greens, blue)"
-
 
 SITES = (1, 2, 1)
 """Photosites in the mean that makes a pixel, by channel: the noise of a photosite is the root of it times larger."""
@@ -141,6 +139,25 @@ class Linearising(Protocol):
         ...
 
 
+def read_eight_bit(data: bytes, source: str) -> NDArray[np.uint8]:
+    """Stored values (height, width, 3) of a camera whose response curve is known.
+
+    Raises
+    ------
+    DeviceError
+        Where the file is torn.
+    InputError
+        Where it is no 8-bit picture.
+    """
+    stored = stored_samples(data, source)
+    if stored is None or stored.dtype != np.uint8:
+        raise InputError(
+            f"{source}: a response curve is for 8-bit pictures, and this is no such; take the response calibration out "
+            "of the rig"
+        )
+    return stored
+
+
 def read_frame(data: bytes, source: str, *, transfer: str = "srgb", response: Linearising | None = None) -> RawFrame:
     """Decode whatever a camera gives: a RAW file, or a PNG, TIFF, JPEG or EXR picture.
 
@@ -161,106 +178,18 @@ def read_frame(data: bytes, source: str, *, transfer: str = "srgb", response: Li
     InputError
         Where a response curve is given for what is no 8-bit picture.
     """
+    if response is not None:
+        eight_bit = read_eight_bit(data, source)
+        white = float(response.linear(np.full(3, 255, np.uint8)).max())
+        return RawFrame(response.linear(eight_bit), response.clipped(eight_bit), np.zeros(3), white, None, is_raw=False)
     stored = stored_samples(data, source)
-    if response is not None and (stored is None or stored.dtype != np.uint8):
-        raise InputError(
-            f"{source}: a response curve is for 8-bit pictures, and this is no such; take the response calibration out "
-            "of the rig"
-        )
     if stored is None:
         return read_raw(data, source)
     values: Floats
-    if response is not None:
-        values, clipped = response.linear(stored), response.clipped(stored)
-        white = float(response.linear(np.full(3, 255, np.uint8)).max())
-    elif stored.dtype.kind == "u":
+    if stored.dtype.kind == "u":
         top = np.iinfo(stored.dtype).max
         values, clipped, white = decode(transfer, stored / top), stored == top, 1.0
     else:
         values, clipped = stored, np.zeros(stored.shape, dtype=bool)
         white = 2 * max(float(stored.max()), 0.5)  # well above, so that rounding clips none
     return RawFrame(values, clipped, np.zeros(3), white, None, is_raw=False)
-
-
-@dataclass(frozen=True, eq=False)
-class Radiance:
-    """A linear picture.
-
-    Attributes
-    ----------
-    image : (height, width, 3) float32
-        Radiance; `saturation` where it was too bright to be measured.
-    saturation : float
-        Value at and above which a channel is clipped; every measured value lies below it.
-    exposure_s : float
-        Seconds; of brackets, all together.
-    """
-
-    image: NDArray[np.float32]
-    saturation: float
-    exposure_s: float
-
-    @property
-    def clipped_share(self) -> float:
-        """Share of pixels with a clipped channel."""
-        return float((self.image >= self.saturation).any(-1).mean())
-
-
-def radiance(
-    frame: RawFrame,
-    exposure_s: float,
-    *,
-    dark: ArrayLike | None = None,
-    flat: ArrayLike | None = None,
-    invalid: ArrayLike | None = None,
-    per_dn_s: Triple = (1.0, 1.0, 1.0),
-) -> Radiance:
-    """Linear radiance of one exposure: ``(values - dark) / flat * per_dn_s / exposure_s``.
-
-    Clipping is judged by the numbers as the sensor gave them, before anything is taken off.
-
-    Parameters
-    ----------
-    frame : RawFrame
-        What the camera gave.
-    exposure_s : float
-        Exposure time, > 0.
-    dark : (height, width, 3) float, optional
-        Mean numbers of frames of the same exposure without the lamp; the file's black level where there are none.
-    flat : (height, width, 3) float, optional
-        Relative response of each pixel, mean 1; a pixel where it is not positive is invalid.
-    invalid : (height, width, 3) bool, optional
-        Pixels that do not measure, such as hot ones. They are marked as clipped ones are.
-    per_dn_s : (3,) float
-        Radiance that raises the number by one in one second, by channel (`stage.rig.CameraPlace`).
-    """
-    scale = np.asarray(per_dn_s, dtype=float) / exposure_s
-    unusable = frame.clipped if invalid is None else frame.clipped | np.asarray(invalid, dtype=bool)
-    signal = (frame.values - (frame.black if dark is None else np.asarray(dark))) * scale
-    least = 1.0
-    if flat is not None:
-        response = np.asarray(flat)
-        responds = response > 0
-        unusable = unusable | ~responds
-        least = float(response.min(where=responds, initial=1.0))
-        signal /= np.where(responds, response, 1)
-    # No number exceeds `white`, black level and all, so that no measured value reaches this one.
-    saturation = np.float32(scale.max() * frame.white / least)
-    image = signal.astype(np.float32)
-    return Radiance(np.where(unusable, saturation, image), float(saturation), exposure_s)
-
-
-def merge(brackets: Sequence[Radiance]) -> Radiance:
-    """One picture of several exposures of the same light.
-
-    Each channel is the mean over the exposures that did not clip it, weighted by exposure time: all electrons over all
-    seconds, which is the best there is where photon noise dominates.
-    """
-    images = np.stack([one.image for one in brackets])
-    good = np.stack([one.image < one.saturation for one in brackets])
-    weight = good * np.array([one.exposure_s for one in brackets])[:, None, None, None]
-    total = weight.sum(0)
-    saturation = np.float32(max(one.saturation for one in brackets))
-    mean = (weight * images).sum(0) / np.where(total > 0, total, 1)
-    merged = np.where(total > 0, mean, saturation).astype(np.float32)
-    return Radiance(merged, float(saturation), sum(one.exposure_s for one in brackets))

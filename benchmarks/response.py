@@ -17,6 +17,9 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "memorial-hdr"
 SOLVER_SAMPLES = 900
 """Pixels that OpenCV's solver is given: its time grows with their third power."""
 
+NORMAL_MEDIAN = 0.6745
+"""Median of a normal distribution's absolute value, in standard deviations."""
+
 OCTAVES = range(-12, 7, 2)
 
 
@@ -80,6 +83,10 @@ def memorial(folder: Path) -> dict[str, Any]:
         ``by_octave``: of the green channel, noise-optimal: for pixels whose published radiance lies in the two octaves
         from 2**k on, their number, and median and 95th percentile of the error.
         ``map_rounding_stops``: median error that the map's own file format (RGBE) makes, by channel.
+        ``deviation_over_stated``: by weighting and channel, how large deviations are in units of the standard deviation
+        that goes with the merged picture, as ``rms`` and as ``median`` (over that of a normal distribution), both 1
+        where the variance is right: ``from_map``, where errors of the published map and of the registration come on
+        top, and ``between_halves``: of the 1st, 3rd, 5th and 7th exposure from the others.
         ``falling_steps``: steps at which the recovered curve falls, of 765, ours and OpenCV's. ``opencv``: the same
         errors with OpenCV's curve.
     """
@@ -108,6 +115,9 @@ def memorial(folder: Path) -> dict[str, Any]:
         "opencv": {
             name: _figures(_against(_hat_mean(pictures, seconds, curve[c], c), published[..., c], seen))
             for c, name in enumerate(CHANNELS)
+        },
+        "deviation_over_stated": {
+            w: deviation_over_stated(response, w, pictures, seconds, published, seen) for w in get_args(Weighting)
         },
         "by_octave": octaves,
         "map_rounding_stops": {name: float(np.median(rounding[seen][:, c])) for c, name in enumerate(CHANNELS)},
@@ -151,6 +161,40 @@ def error_stops(
     return [
         _against(merged.image[..., c], published[..., c], seen & ~merged.clipped[..., c]) for c in range(len(CHANNELS))
     ]
+
+
+def deviation_over_stated(
+    response: Response,
+    weighting: Weighting,
+    pictures: list[NDArray[np.uint8]],
+    seconds: list[float],
+    published: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+) -> dict[str, dict[str, dict[str, float]]]:
+    """By channel, deviations in units of the stated standard deviation; see `memorial`."""
+    whole, one, other = (
+        merge_pictures(response, pictures[part], seconds[part], weighting=weighting)
+        for part in (slice(None), slice(0, None, 2), slice(1, None, 2))
+    )
+    found = {}
+    for c, name in enumerate(CHANNELS):
+        valid = seen & ~(one.clipped | other.clipped | whole.clipped)[..., c]
+        stops = _against(whole.image[..., c], published[..., c], valid)
+        stated = np.sqrt(whole.variance[..., c]) / whole.image[..., c] / np.log(2)
+        apart = np.where(valid, one.image[..., c] - other.image[..., c], np.nan)
+        together = np.sqrt(one.variance[..., c] + other.variance[..., c])
+        found[name] = {
+            "from_map": _in_sigmas(stops / stated),
+            "between_halves": _in_sigmas(apart / together),
+        }
+    return found
+
+
+def _in_sigmas(deviation: NDArray[Any]) -> dict[str, float]:
+    return {
+        "rms": float(np.sqrt(np.nanmean(deviation**2))),
+        "median": float(np.nanmedian(np.abs(deviation)) / NORMAL_MEDIAN),
+    }
 
 
 def _against(image: NDArray[Any], published: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
 from acquisition.calibration.camera import CameraCalibration
@@ -17,7 +16,7 @@ from acquisition.calibration.files import read_calibration, record
 from acquisition.calibration.flat import Flat, FlatCalibration, read_flat
 from acquisition.calibration.response import Response
 from acquisition.calibration.target import IntensityCalibration
-from acquisition.radiance import Radiance, RawFrame, radiance
+from acquisition.radiance import RawFrame
 from stage.errors import InputError
 from stage.lights import Triple
 from stage.rig import Rig
@@ -94,28 +93,15 @@ class Corrections:
         except ValidationError as error:
             raise InputError(f"rig with its calibrations: {first_fault(error)}") from None
 
-    def radiance(
-        self, frame: RawFrame, exposure_s: float, source: str, *, dark: ArrayLike | None = None, per_dn_s: Triple
-    ) -> Radiance:
-        """Linear radiance of one exposure, corrected.
-
-        In this order: the dark level is taken off (`dark` where there are frames of this capture without the lamp,
-        which show the room's light too; else the dark calibration's ``offset + slope * seconds``; else the file's
-        black level), the rest is divided by the flat field, by the exposure time, and multiplied by `per_dn_s`. Hot
-        pixels, and those that the flat field does not reach, are marked as clipped.
+    def require_fit(self, frame: RawFrame, source: str) -> None:
+        """Refuse a frame that dark and flat do not hold for.
 
         Parameters
         ----------
         frame : RawFrame
             See `acquisition.radiance.read_frame`, to which the response calibration is handed.
-        exposure_s : float
-            Exposure time, > 0.
         source : str
             Name of the file, for errors.
-        dark : (height, width, 3) float, optional
-            Mean numbers of this capture's frames of the same exposure without the lamp.
-        per_dn_s : (3,) float
-            As in `acquisition.radiance.radiance`.
 
         Raises
         ------
@@ -136,15 +122,6 @@ class Corrections:
                 f"{self.files['dark']}: iso: was measured at ISO {self.dark.iso:g}, and {source} was taken at "
                 f"ISO {frame.iso:g}"
             )
-        level = self.dark.at(exposure_s) if dark is None and self.dark is not None else dark
-        return radiance(
-            frame,
-            exposure_s,
-            dark=level,
-            flat=None if self.flat is None else self.flat.response,
-            invalid=None if self.dark is None else self.dark.hot,
-            per_dn_s=per_dn_s,
-        )
 
     def _emitters(self, count: int) -> tuple[Triple, ...]:
         assert self.intensity is not None

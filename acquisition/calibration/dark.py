@@ -10,11 +10,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import PositiveFloat, PositiveInt
-from scipy.stats import median_abs_deviation
 
 from acquisition.calibration.files import Calibration, InputFile, read_calibration_of, write_calibration
 from acquisition.calibration.frames import ExposedFrame, require_alike
 from acquisition.calibration.maps import MapFile, read_map, written_maps
+from acquisition.photon_transfer import difference_variance
 from acquisition.radiance import SITES
 from stage.errors import InputError
 from stage.lights import Triple
@@ -24,11 +24,11 @@ Map = NDArray[np.float32]
 
 HOT_SIGMAS = 8.0
 """Robust standard deviations from the median beyond which offset or dark current make a pixel hot."""
+SIGMA_OF_MAD = 1.4826
+"""Standard deviation over median absolute deviation, of a normal distribution."""
 
 MOST_DARK_SHARE = 0.05
 """Share of the range above black that a dark frame's median may reach; more is light."""
-
-CLIP_SIGMAS = 5.0
 
 
 class DarkCalibration(Calibration):
@@ -146,7 +146,7 @@ def measure_dark(frames: Iterable[ExposedFrame]) -> Dark:
     first: ExposedFrame | None = None
     previous: ExposedFrame | None = None
     times: list[float] = []
-    noise: dict[float, list[Array]] = {}
+    noise: dict[float, list[Triple]] = {}
     sums: Map = np.zeros(0, np.float32)
     for frame in frames:
         if first is None:
@@ -156,7 +156,7 @@ def measure_dark(frames: Iterable[ExposedFrame]) -> Dark:
         y = np.asarray(frame.raw.values - first.raw.black, dtype=np.float32)
         _require_no_light(frame, y)
         if previous is not None and previous.exposure_s == frame.exposure_s:
-            noise.setdefault(frame.exposure_s, []).append(_variance_of_difference(frame, previous))
+            noise.setdefault(frame.exposure_s, []).append(difference_variance(frame.raw.values, previous.raw.values))
         times.append(frame.exposure_s)
         for i, term in enumerate((y, np.float32(frame.exposure_s) * y, y * y)):
             sums[i] += term
@@ -202,21 +202,8 @@ def _require_no_light(frame: ExposedFrame, above_black: Map) -> None:
         )
 
 
-def _variance_of_difference(frame: ExposedFrame, previous: ExposedFrame) -> Array:
-    """Variance of one photosite (3,), from two frames; what jumps, such as a hot pixel, is left out."""
-    difference = np.asarray(frame.raw.values - previous.raw.values)
-    out = np.empty(3)
-    for c in range(3):
-        d = difference[..., c].ravel()
-        d = d - d.mean(dtype=float)
-        for _ in range(3):
-            # Of a sensor with hardly any noise most differences are 0 and a few are one step: these are no outliers.
-            d = d[np.abs(d) <= max(CLIP_SIGMAS * float(d.std(dtype=float)), 2.0)]
-        out[c] = d.var(dtype=float) / 2 * SITES[c]
-    return out
-
-
 def _far(values: Map, least_sigma: Array) -> NDArray[np.bool_]:
     flat = values.reshape(-1, 3)
-    sigma = np.maximum(median_abs_deviation(flat, axis=0, scale="normal"), least_sigma)
-    return np.asarray(np.abs(values - np.median(flat, axis=0)) > HOT_SIGMAS * sigma)
+    middle = np.median(flat, axis=0)
+    sigma = np.maximum(SIGMA_OF_MAD * np.median(np.abs(flat - middle), axis=0), least_sigma)
+    return np.asarray(np.abs(values - middle) > HOT_SIGMAS * sigma)

@@ -15,7 +15,7 @@ from acquisition.calibration.dark import Dark
 from acquisition.calibration.files import Calibration, InputFile, read_calibration_of, write_calibration
 from acquisition.calibration.frames import ExposedFrame, require_alike
 from acquisition.calibration.maps import MapFile, read_map, written_maps
-from acquisition.radiance import SITES
+from acquisition.photon_transfer import photon_transfer, transfer_points, triple
 from stage.errors import InputError
 from stage.lights import Triple
 
@@ -31,11 +31,6 @@ LEAST_LEVEL_SHARE = 0.02
 
 BLOCK = 32
 """Pixels across which noise is averaged away to see whether two flats differ in shape."""
-
-TRANSFER_PIXELS = 1 << 20
-TRANSFER_BINS = 16
-TRANSFER_BELOW = 0.9
-"""Of a pair of frames: pixels and bins of brightness for the photon transfer, and the share of the range it uses."""
 
 
 class FlatCalibration(Calibration):
@@ -152,18 +147,20 @@ def measure_flat(frames: Iterable[ExposedFrame], *, dark: Dark | None = None, sh
         total[count % 2] += np.where(use, signal / even, 0)
         weight[count % 2] += use * level
         if previous is not None and previous[0] == frame.exposure_s:
-            points.append(_transfer_points(frame, signal, previous[1], use & previous[2]))
+            room = frame.raw.white - frame.raw.black
+            points.append(transfer_points(signal, previous[1], use & previous[2], room))
         previous = frame.exposure_s, signal, use
         count += 1
     if first is None or count < 2:
         raise InputError(f"flat frames: expected two or more, got {count}")
     response, answers = _normalised(total.sum(0), weight.sum(0))
     residuals = {"unusable_share": float(1 - answers.all(-1).mean()), **_halves(total, weight, answers)}
-    gain: Triple | None = None
-    gain_std: Triple | None = None
-    if points:
-        gain, gain_std, residuals["photon_transfer_rms_share"] = _photon_transfer(np.concatenate(points), dark)
-    return Flat(response, gain, gain_std, count, first.raw.iso, residuals)
+    read = None if dark is None else triple(np.square(dark.read_noise_dn))
+    transfer = photon_transfer(points, read) if points else None
+    if transfer is None:
+        return Flat(response, None, None, count, first.raw.iso, residuals)
+    residuals["photon_transfer_rms_share"] = transfer.misfit_share
+    return Flat(response, transfer.electrons_per_dn, transfer.electrons_per_dn_std, count, first.raw.iso, residuals)
 
 
 def _expected(shape: ArrayLike | None, frame: ExposedFrame, dark: Dark | None) -> tuple[Map, NDArray[np.bool_]]:
@@ -229,52 +226,3 @@ def _halves(total: Map, weight: Map, answers: NDArray[np.bool_]) -> dict[str, fl
         "second_flat_share": float(np.sqrt((ratio[both].astype(float) ** 2).mean())),
         "second_flat_smooth_share": float(np.sqrt((blocks**2).mean())),
     }
-
-
-def _transfer_points(frame: ExposedFrame, signal: Map, before: Map, use: NDArray[np.bool_]) -> Array:
-    """Mean, variance of a photosite, its count and channel, (bins * 3, 4), of two frames of one exposure.
-
-    The fixed pattern cancels in their difference.
-    """
-    stride = max(1, round((signal.shape[0] * signal.shape[1] / TRANSFER_PIXELS) ** 0.5))
-    rows = []
-    for c in range(3):
-        a, b, ok = (part[::stride, ::stride, c] for part in (signal, before, use))
-        a, b = a[ok].astype(float), b[ok].astype(float)
-        b *= a.mean() / b.mean()  # the lamp's drift
-        mean = (a + b) / 2
-        room = frame.raw.white - frame.raw.black[c]
-        for part in np.array_split(np.argsort(mean), TRANSFER_BINS):
-            level = mean[part].mean()
-            if level < TRANSFER_BELOW * room:
-                rows.append((level, ((a - b)[part] ** 2).mean() / 2 * SITES[c], len(part), c))
-    return np.array(rows).reshape(-1, 4)
-
-
-def _photon_transfer(points: Array, dark: Dark | None) -> tuple[Triple, Triple, float]:
-    """Electrons per number, their standard deviation, and the relative misfit: variance = read noise**2 + mean / gain.
-
-    A variance of n differences has the relative variance 2 / n. The read noise is the dark calibration's where there
-    is one; else it is fitted where brightness spans a factor of two, and left out where it does not.
-    """
-    gains, stds, misfits = [], [], []
-    for c in range(3):
-        mean, variance, n = points[points[:, 3] == c, :3].T
-        read = 0.0 if dark is None else dark.read_noise_dn[c] ** 2
-        design = mean[:, None]
-        if dark is None and mean.max() > 2 * mean.min():
-            design = np.stack([mean, np.ones_like(mean)], -1)
-        fitted = variance
-        for _ in range(3):  # the weights follow from the fit
-            weight = n / (2 * fitted**2)
-            normal = design.T @ (weight[:, None] * design)
-            solution = np.linalg.solve(normal, design.T @ (weight * (variance - read)))
-            fitted = design @ solution + read
-        gains.append(1 / solution[0])
-        stds.append(float(np.sqrt(np.linalg.inv(normal)[0, 0])) / solution[0] ** 2)
-        misfits.append(((variance / fitted - 1) ** 2).mean())
-    return (
-        (float(gains[0]), float(gains[1]), float(gains[2])),
-        (float(stds[0]), float(stds[1]), float(stds[2])),
-        float(np.sqrt(np.mean(misfits))),
-    )

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import os
-import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
-from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.dataset.images import Stored
-from stage.errors import InputError
+from acquisition.dataset.spool import Spool
 
 Read = Callable[[int], Stored]
 Linear = Callable[[int, Stored, NDArray[np.float32]], None]
@@ -69,7 +65,7 @@ def iterate_tiles(
     height, width = size
     per_row = max(len(frames) * width * _BYTES_PER_SAMPLE, 1)
     rows = max(min(max_bytes // per_row, height), 1)
-    with _Spool() as spool:
+    with Spool() as spool:
         whole = decoded(read, frames)
         if rows < height:
             for samples in whole:
@@ -96,47 +92,3 @@ def decoded(read: Read, frames: Sequence[int]) -> Iterator[Stored]:
                 yield ahead.popleft().result()
         while ahead:
             yield ahead.popleft().result()
-
-
-class _Spool:
-    """Decoded pictures in a temporary file without a name, in the files' own sample types.
-
-    Blocks are read, not mapped, so that pages of the file never count as the process's memory.
-    """
-
-    def __init__(self) -> None:
-        self._file: IO[bytes] | None = None
-        self._entries: list[tuple[int, np.dtype[Any], tuple[int, ...]]] = []
-
-    def __enter__(self) -> _Spool:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._file is not None:
-            self._file.close()
-
-    def append(self, samples: Stored) -> None:
-        folder = spool_folder()
-        try:
-            if self._file is None:
-                self._file = tempfile.TemporaryFile(prefix="lightstage-", dir=folder)  # noqa: SIM115 - see __exit__
-            self._entries.append((self._file.tell(), samples.dtype, samples.shape[1:]))
-            self._file.write(np.ascontiguousarray(samples).data)
-        except OSError as error:
-            raise InputError(f"{folder}: TMPDIR: pictures cannot be spooled there ({error.strerror})") from None
-
-    def rows(self, k: int, block: slice) -> Stored:
-        assert self._file is not None
-        at, dtype, shape = self._entries[k]
-        per_row = math.prod(shape) * dtype.itemsize
-        self._file.seek(at + block.start * per_row)
-        data = self._file.read((block.stop - block.start) * per_row)
-        return np.frombuffer(data, dtype).reshape(-1, *shape)
-
-
-def spool_folder() -> str:
-    """TMPDIR where it is set; else /var/tmp, which unlike /tmp is on a disk on every common system."""
-    large = "/var/tmp"
-    if "TMPDIR" not in os.environ and Path(large).is_dir() and os.access(large, os.W_OK | os.X_OK):
-        return large
-    return tempfile.gettempdir()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.dataset import IlluminationDataset
-from acquisition.dataset.tiles import spool_folder
+from acquisition.dataset.spool import spool_folder
 from reconstruct.model import Progress
 from stage.errors import InputError
 

@@ -26,6 +26,7 @@ from acquisition.calibration.target import CalibratedLight, IntensityCalibration
 from acquisition.dataset import IlluminationDataset
 from acquisition.dataset.manifest import CameraEntry
 from acquisition.developing import Geometry, develop
+from acquisition.merging import Sample, merge
 from acquisition.plan import CapturePlan, PlannedLight
 from acquisition.radiance import read_frame
 from acquisition.record import open_record
@@ -280,7 +281,7 @@ def test_what_is_of_another_camera(tmp_path: Path) -> None:
     a_dark(iso=400.0).save(tmp_path / "dark.json", name="other")
     frame = read_frame(SENSOR.dng(np.full((2 * HEIGHT, 2 * WIDTH), 600, np.uint16), 0.1, 100), "x.dng")
     with pytest.raises(InputError, match=r"dark\.json: iso: was measured at ISO 400, and x\.dng was taken at ISO 100"):
-        load_corrections([tmp_path / "dark.json"]).radiance(replace(frame, iso=100.0), 0.1, "x.dng", per_dn_s=ONES)
+        load_corrections([tmp_path / "dark.json"]).require_fit(replace(frame, iso=100.0), "x.dng")
 
 
 def test_corrected_noise_is_that_of_the_sensor(tmp_path: Path) -> None:
@@ -297,11 +298,13 @@ def test_corrected_noise_is_that_of_the_sensor(tmp_path: Path) -> None:
     darks = [taken(f"dark{i}{t}", 0, t) for t in (0.01, 2.0) for i in range(8)]
     dark = measure_dark(exposed_frames(darks))
     flat = measure_flat(exposed_frames([taken(f"flat{i}", 0.3, 0.1) for i in range(30)]), dark=dark)
-    dark.save(tmp_path / "dark.json", name="x")
-    flat.save(tmp_path / "flat.json", name="x")
-    known = load_corrections([tmp_path / "dark.json", tmp_path / "flat.json"])
     seen = read_frame(taken("wall", 0.1, 0.2).read_bytes(), "wall.dng")
-    found = known.radiance(seen, 0.2, "wall.dng", per_dn_s=SENSOR.radiance_per_dn_s())
+    found = merge(
+        [Sample.of(seen, 0.2, dark=dark.at(0.2))],
+        room=seen.white - seen.black,
+        per_dn_s=SENSOR.radiance_per_dn_s(),
+        flat=flat.response,
+    )
     green = found.image[..., 1]
     assert_allclose(green.mean(0), 0.1 * across.mean(), rtol=0.03)
     assert green.std() / green.mean() < 1.5 / np.sqrt(2 * 0.1 * 0.2 * 4e5 * 0.8)

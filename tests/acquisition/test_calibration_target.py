@@ -15,7 +15,8 @@ from acquisition.calibration.files import read_calibration_of, write_calibration
 from acquisition.calibration.plane import Plane, lambertian_shape, plane_geometry
 from acquisition.calibration.target import IntensityCalibration, measure_intensity
 from acquisition.dataset import IlluminationDataset, write_dataset
-from acquisition.radiance import radiance, read_raw
+from acquisition.merging import Sample, merge
+from acquisition.radiance import read_raw
 from simulators.scene import Relief
 from simulators.world import RigWorld
 from stage.camera import Camera
@@ -258,9 +259,12 @@ def test_a_simulated_dome_has_the_lamps_that_it_was_made_with(tmp_path: Path) ->
     frames = []
     for i, place in enumerate(places):
         world.set_channels(bytes(255 if j == i else 0 for j in range(6)))
-        taken = radiance(read_raw(world.expose(exposure_s), "lit"), exposure_s, dark=dark, per_dn_s=per_dn_s)
+        raw = read_raw(world.expose(exposure_s), "lit")
+        assert not raw.clipped.any()
+        sample = Sample.of(raw, exposure_s, dark=dark)
+        image = merge([sample], room=raw.white - raw.black, per_dn_s=per_dn_s).image
         light = Light(position=place.position, intensity=(0.3, 0.3, 0.3))
-        frames.append((light, taken.image, {"saturation": taken.saturation}))
+        frames.append((light, image))
     truth = world.truth()
     photographed = write_dataset(
         tmp_path / "w",

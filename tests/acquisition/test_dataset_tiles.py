@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from acquisition.dataset import IlluminationDataset, write_dataset
 from acquisition.dataset import folder as folder_module
+from acquisition.dataset import spool as spool_module
 from acquisition.dataset import tiles as tiles_module
 from acquisition.dataset.headers import Header
 from stage.errors import InputError
@@ -104,7 +105,7 @@ def test_leaving_early_closes_the_spool(
 
 
 def test_a_spool_that_cannot_be_written_is_named(mixed: IlluminationDataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tiles_module, "spool_folder", lambda: "/nowhere")
+    monkeypatch.setattr(spool_module, "spool_folder", lambda: "/nowhere")
     with pytest.raises(InputError, match="/nowhere: TMPDIR: pictures cannot be spooled there"):
         list(mixed.tiles(range(4), max_bytes=1))
     assert len(list(mixed.tiles(range(4)))) == 1  # a set that fits needs no spool

@@ -17,8 +17,9 @@ from acquisition.dataset import open_dataset, write_dataset
 from acquisition.dataset.images import encode_exr
 from acquisition.dataset.transfer import decode
 from acquisition.importing import load_any
+from acquisition.merging import Sample, merge
 from acquisition.pictures import is_picture, stored_samples
-from acquisition.radiance import radiance, read_frame
+from acquisition.radiance import read_frame
 from simulators.raw import Sensor
 from stage.errors import DeviceError
 from stage.lights import Light
@@ -79,16 +80,18 @@ def test_an_exr_is_linear_and_never_clipped(half: bool) -> None:
     frame = read_frame(encode_exr(values, half, name="x"), "shot", transfer="srgb")
     assert_array_equal(frame.values, values)
     assert not frame.clipped.any()
-    for seconds in (0.3, 1.0, 7.0):  # nothing becomes clipped on the way to radiance either
-        linear = radiance(frame, seconds)
+    assert frame.white > values.max()
+    for seconds in (0.3, 1.0, 7.0):
+        linear = merge([Sample.of(frame, seconds)], room=frame.white - frame.black)
         assert_allclose(linear.image, values.astype(float) / seconds, rtol=1e-6)
-        assert linear.clipped_share == 0
+        assert not linear.clipped.any()
 
 
 def test_a_black_exr_is_black_and_not_clipped() -> None:
-    black = radiance(read_frame(encode_exr(np.zeros((4, 4, 3)), name="x"), "dark"), 10.0)
-    assert black.clipped_share == 0
-    assert not black.image.any()
+    black = read_frame(encode_exr(np.zeros((4, 4, 3)), name="x"), "dark")
+    assert black.white > 0
+    assert not black.clipped.any()
+    assert not black.values.any()
 
 
 def test_raw_files_are_no_pictures() -> None:

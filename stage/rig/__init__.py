@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from stage.rig.camera import CameraPlace, Gphoto2, OpenCvStream, PtpIp, PtpUsb, Replay
 from stage.rig.description import Rig, rig_from_mapping
+from stage.rig.interlocks import AnyInterlock, CommandInterlock, Interlock, TemperatureInterlock
 from stage.rig.joints import GrblSlide, GrblTurn, Joint, LinearJoint, RevoluteJoint, ServoJoint
 from stage.rig.light import (
     AnyLight,
@@ -22,9 +23,11 @@ from stage.rig.parts import SLACK
 
 __all__ = [
     "SLACK",
+    "AnyInterlock",
     "AnyLight",
     "AnyMotion",
     "CameraPlace",
+    "CommandInterlock",
     "DmxEmitter",
     "DynamixelMotion",
     "Emitter",
@@ -34,6 +37,7 @@ __all__ = [
     "GrblMotion",
     "GrblSlide",
     "GrblTurn",
+    "Interlock",
     "Joint",
     "LightSource",
     "LinearJoint",
@@ -49,6 +53,7 @@ __all__ = [
     "SpindleLight",
     "SupplyEmitter",
     "SupplyLight",
+    "TemperatureInterlock",
     "UdmxLight",
     "UrMotion",
     "rig_from_mapping",

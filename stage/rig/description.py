@@ -16,6 +16,7 @@ from stage.clearance import Placement
 from stage.errors import InputError
 from stage.lights import Light
 from stage.rig.camera import AnyCamera, CameraPlace
+from stage.rig.interlocks import AnyInterlock
 from stage.rig.keep_out import AnyZone, obstruction
 from stage.rig.kinematics import AnyKinematics
 from stage.rig.light import AnyLight
@@ -36,6 +37,7 @@ TAGS = (
     | _names(AnyCamera, "driver")
     | _names(AnyKinematics, "kind")
     | _names(AnyZone, "kind")
+    | _names(AnyInterlock, "kind")
     | {"turn", "slide"}
 )
 
@@ -57,6 +59,8 @@ class Rig(RigPart):
         Of a sphere about the stage's centre that holds the object; keep-out zones ask for it.
     keep_out : tuple of Zone
         Where light and arm must not be.
+    interlocks : tuple of Interlock
+        What must be so for a capture to go on.
     calibrations : tuple of str
         Calibration files, relative to the rig's own.
     """
@@ -68,6 +72,7 @@ class Rig(RigPart):
     light: AnyLight
     object_radius_m: NonNegative = 0.0
     keep_out: tuple[AnyZone, ...] = ()
+    interlocks: tuple[AnyInterlock, ...] = ()
     calibrations: tuple[str, ...] = ()
 
     @model_validator(mode="after")
@@ -77,6 +82,13 @@ class Rig(RigPart):
                 "light.emitters: a position_m for each is needed where nothing moves (motion.driver fixed-dome), "
                 "and none elsewhere"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _interlocks_can_be_told_apart(self) -> Self:
+        names = [interlock.name for interlock in self.interlocks]
+        if len(set(names)) != len(names):
+            raise ValueError(f"interlocks: each needs a name of its own, got {names}")
         return self
 
     def light_at(self, joints: Sequence[float], levels: Sequence[float]) -> Light:

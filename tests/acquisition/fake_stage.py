@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from simulators.raw import Sensor, through_filters
 from stage.camera import Camera
-from stage.devices import Arrival, CapturedFrame
+from stage.clock import SystemClock
+from stage.devices import Arrival, CapturedFrame, Exposure
 from stage.errors import DeviceError, InputError
 from stage.rig import Rig
 
@@ -47,7 +48,7 @@ def make_rig(**camera: Any) -> Rig:
     )
 
 
-class StillClock:
+class StillClock(SystemClock):
     """Time that stands still, so that records of equal runs are equal."""
 
     def now(self) -> float:
@@ -128,13 +129,15 @@ class FakeLamp(FakeDevice):
 
 
 class FakeCamera(FakeDevice):
-    """Pictures of a slanted wall that knows joints and lamp; `before` may raise, `after` may spoil the file."""
+    """Pictures of a slanted wall that knows joints and lamp; `before` and `during` the download may raise, `after` may
+    spoil the file."""
 
     def __init__(self, motion: FakeMotion, lamp: FakeLamp) -> None:
         super().__init__()
         self._motion, self._lamp = motion, lamp
         self.shots = 0
         self.before: Callable[[int], None] = lambda shot: None
+        self.during: Callable[[int], None] = lambda shot: None
         self.after: Callable[[int, bytes], bytes] = lambda shot, data: data
         self.exposed_as: Callable[[float], float] = lambda exposure_s: exposure_s
 
@@ -142,16 +145,26 @@ class FakeCamera(FakeDevice):
         if exposure_s > 10:
             raise InputError(f"exposure_s: the camera offers no {exposure_s:g} s")
 
-    def capture(self, exposure_s: float) -> CapturedFrame:
+    def nearest_exposure(self, exposure_s: float) -> float:
+        return exposure_s
+
+    def expose(self, exposure_s: float) -> Exposure:
         self.require_exposure(exposure_s)
         self.shots += 1
         self.before(self.shots)
         light = wall(self._motion.joints, self._lamp.level)
         seed = [int(1e6 * abs(v)) for v in (*self._motion.joints, self._lamp.level, exposure_s)]
-        numbers = SENSOR.read(through_filters(light), exposure_s, 100, np.random.default_rng(seed))
-        told = self.exposed_as(exposure_s)
-        data = self.after(self.shots, SENSOR.dng(numbers, told, 100))
-        return CapturedFrame(data, "IMG.DNG", exposure_s, 0.0, metadata={"model": "fake"})
+        return Exposure(exposure_s, 0.0, 0.0, (self.shots, light, seed))
+
+    def download(self, exposure: Exposure) -> CapturedFrame:
+        shot, light, seed = exposure.handle
+        self.during(shot)
+        numbers = SENSOR.read(through_filters(light), exposure.exposure_s, 100, np.random.default_rng(seed))
+        data = self.after(shot, SENSOR.dng(numbers, self.exposed_as(exposure.exposure_s), 100))
+        return CapturedFrame(data, "IMG.DNG", exposure.exposure_s, 0.0, metadata={"model": "fake"})
+
+    def capture(self, exposure_s: float) -> CapturedFrame:
+        return self.download(self.expose(exposure_s))
 
 
 def wall(joints: Sequence[float], level: float) -> NDArray[np.float64]:

@@ -237,7 +237,7 @@ class Arm(Kinematics):
 
     def _require_reach(self, position: Array) -> None:
         reach = sum(math.hypot(row.a_m, row.d_m) for row in self._table) + float(np.linalg.norm(self.light_offset_m))
-        distance = float(np.linalg.norm(position - np.array(self.base_m)))
+        distance = math.dist(position, self.base_m)
         if distance > reach:
             raise InputError(
                 f"motion.kinematics.base_m: the arm, stretched out, carries the light {reach:.3g} m from its base, so "

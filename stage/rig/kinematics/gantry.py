@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import ClassVar, Literal, Self
 
@@ -65,7 +66,7 @@ class Gantry(Kinematics):
     def solutions(self, position: Array, joints: Sequence[Joint], near: Sequence[float]) -> list[tuple[float, ...]]:
         """The one set of joint values whose light is nearest, which must be near enough."""
         values = self._rails @ (position - np.array(self.origin_m))
-        miss = float(np.linalg.norm(self.light_position(values) - position))
+        miss = math.hypot(*self.light_position(values) - position)
         if not miss <= OFF_RAILS_M:
             raise InputError(
                 f"motion.kinematics.directions: {len(self.directions)} rails from {list(self.origin_m)} m pass "

@@ -48,7 +48,7 @@ class PanTilt(Kinematics):
 
     def solutions(self, position: Array, joints: Sequence[Joint], near: Sequence[float]) -> list[tuple[float, ...]]:
         """The direct way and, where tilt may go past the zenith, over the top."""
-        distance = float(np.linalg.norm(position))
+        distance = math.hypot(*position)
         if not abs(distance - self.radius_m) <= OFF_SPHERE * self.radius_m:
             raise InputError(
                 f"motion.kinematics.radius_m: the arm carries the light {self.radius_m:g} m from the stage's centre, "

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from api.verbs.calibrating_photometry import calibrate_dark, calibrate_flat, calibrate_response, calibrate_white
     from api.verbs.capturing import capture
     from api.verbs.checking import check_rig
+    from api.verbs.checking_plan import check_plan
+    from api.verbs.controlling import session
     from api.verbs.evaluating import evaluate
     from api.verbs.fitting import fit
     from api.verbs.importing import import_
@@ -33,6 +35,7 @@ _VERBS = {
     "calibrate_response": "api.verbs.calibrating_photometry",
     "calibrate_white": "api.verbs.calibrating_photometry",
     "capture": "api.verbs.capturing",
+    "check_plan": "api.verbs.checking_plan",
     "check_rig": "api.verbs.checking",
     "demo": "api.demonstration",
     "evaluate": "api.verbs.evaluating",
@@ -40,6 +43,7 @@ _VERBS = {
     "import_": "api.verbs.importing",
     "plan": "api.verbs.planning",
     "relight": "api.verbs.relighting",
+    "session": "api.verbs.controlling",
     "simulate": "api.verbs.simulating",
 }
 
@@ -53,6 +57,7 @@ __all__ = [
     "calibrate_response",
     "calibrate_white",
     "capture",
+    "check_plan",
     "check_rig",
     "demo",
     "evaluate",
@@ -60,6 +65,7 @@ __all__ = [
     "import_",
     "plan",
     "relight",
+    "session",
     "simulate",
 ]
 

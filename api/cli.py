@@ -115,6 +115,27 @@ def plan(
     console.write_result(result, json)
 
 
+@app.command(name="check")
+def check_plan(
+    rig: Annotated[Path, typer.Option(metavar="RIG", help="Description of the stage and its devices.")],
+    plan: Annotated[Path, typer.Option(metavar="plan.json", help="Where the light goes.")],
+    out: Annotated[
+        Path | None, typer.Argument(metavar="OUT", help="Dataset folder; of an interrupted capture, what is left.")
+    ] = None,
+    camera: Annotated[bool, typer.Option("--camera", help="Ask the camera which exposure times it offers.")] = False,
+    json: Json = False,
+) -> None:
+    """Say whether a plan can be captured, and how long it takes; nothing moves."""
+    from api.verbs.checking_plan import check_plan as run
+
+    with console.progress("check"):
+        estimate = run(rig, plan, out, ask_camera=camera)
+    if json:
+        console.write_json(estimate.to_json())
+    else:
+        print(estimate.summary())
+
+
 @app.command()
 def capture(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="New dataset folder.")],
@@ -123,14 +144,51 @@ def capture(
     resume: Annotated[
         bool, typer.Option("--resume", help="Take only what an interrupted capture has not taken.")
     ] = False,
+    alert: Annotated[
+        list[str] | None,
+        typer.Option(metavar="URL|COMMAND", help="Whom to tell when somebody is needed; may be given several times."),
+    ] = None,
+    patience: Annotated[
+        float, typer.Option(metavar="SECONDS", min=0, help="How long to wait for a disk that refuses.")
+    ] = 600.0,
     json: Json = False,
 ) -> None:
     """Photograph the object under every light of a plan."""
     from api.verbs.capturing import capture as run
 
     with console.progress("capture") as progress:
-        result = run(rig, plan, out, resume=resume, progress=progress)
+        result = run(
+            rig,
+            plan,
+            out,
+            resume=resume,
+            alerts=alert or (),
+            patience_s=patience,
+            note=console.say,
+            progress=progress,
+        )
     console.write_result(result, json)
+
+
+@app.command()
+def session(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder that a running 'capture' was given.")],
+    command: Annotated[
+        str, typer.Argument(metavar="status|pause|resume|stop|abort|emergency-stop|skip|retake", help="What to do.")
+    ],
+    shot: Annotated[int | None, typer.Argument(metavar="N", help="Number of the shot to take again.")] = None,
+    reason: Annotated[str | None, typer.Option(metavar="TEXT", help="For the record.")] = None,
+    json: Json = False,
+) -> None:
+    """Look at a running capture, and steer it from another terminal."""
+    from api.verbs.controlling import session as run
+
+    found = run(out, command, shot=shot, reason=reason)
+    if json:
+        console.write_json(found)
+        return
+    counted = {"taken": f"{found['taken']} of {found['shots']} shots"}
+    console.write_facts({key: value for key, value in (found | counted).items() if value not in ([], {}, None, "")})
 
 
 @app.command()

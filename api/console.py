@@ -9,14 +9,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
 from typer.core import TyperGroup
 from typer.exceptions import Abort, TyperException
 
-from stage.errors import DeviceError, InputError
+from stage.errors import DeviceError, EndedEarlyError, InputError
 from stage.interruption import interrupted
 
 Progress = Callable[[float], None]
@@ -86,7 +86,7 @@ def exit_code(run: Callable[[], object]) -> int:
             return _told(error)
         returned = INTERRUPTED
     if returned == INTERRUPTED:
-        _say("interrupted")
+        say("interrupted")
     return returned if isinstance(returned, int) else 0
 
 
@@ -99,27 +99,29 @@ def _told(error: Exception) -> int:
     if isinstance(error, TyperException):
         context = getattr(error, "ctx", None)
         command = context.command_path if context is not None else "lightstage"
-        _say(f"{error.format_message().rstrip('.')}; '{command} --help' lists what it takes")
+        say(f"{error.format_message().rstrip('.')}; '{command} --help' lists what it takes")
         return error.exit_code
     if isinstance(error, InputError):
-        _say(str(error))
+        say(str(error))
         return BAD_INPUT
-    if isinstance(error, DeviceError):
-        _say(str(error))
+    if isinstance(error, (DeviceError, EndedEarlyError)):
+        say(str(error))
         return FAILED
     if isinstance(error, Abort):
-        _say("aborted")
+        say("aborted")
         return FAILED
     if isinstance(error, BrokenPipeError):
         # Whoever read stdout has gone; without this the interpreter complains once more as it closes the stream.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
-    _say(f"failed with {type(error).__name__}: {error}; run it again with {DEBUG}=1 for the traceback")
+    say(f"failed with {type(error).__name__}: {error}; run it again with {DEBUG}=1 for the traceback")
     return FAILED
 
 
-def _say(sentence: str) -> None:
-    print("lightstage: " + " ".join(sentence.split()), file=sys.stderr)
+def say(sentence: str) -> None:
+    """Print a sentence for people to stderr, as long as anybody reads it."""
+    with suppress(OSError, ValueError):
+        print("lightstage: " + " ".join(sentence.split()), file=sys.stderr)
 
 
 def write_json(value: Any) -> None:

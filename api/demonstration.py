@@ -13,11 +13,11 @@ from typing import Any
 import cv2
 import yaml
 
+from acquisition.capture import capture
 from acquisition.dataset import IlluminationDataset, read_exr, staged_folder
 from acquisition.dataset.mesh import write_ply
 from acquisition.developing import Geometry
 from acquisition.plan import CapturePlan, write_plan
-from acquisition.session import capture
 from api.demo_stage import NEW_LIGHTS, demo_rig, held_out_lights
 from api.devices import Bench, open_bench
 from api.evaluation_report import Inspector, Seen, evaluation_content, mean_picture, stage_view

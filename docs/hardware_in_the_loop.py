@@ -118,13 +118,16 @@ def judged(captured: Path, plan: Path) -> dict[str, Any]:
     found = np.array([frame.light.position for frame in dataset.frames])
     cosine = (wanted * found).sum(1) / np.linalg.norm(wanted, axis=1) / np.linalg.norm(found, axis=1)
     shots = [json.loads(line) for line in (captured / "capture" / "shots.jsonl").read_text().splitlines()]
-    parts = ("move_s", "settle_s", "light_s", "expose_s", "download_s", "decode_s", "write_s")
-    lit = [shot for shot in shots if shot["candidate"] is not None]
+    parts = ("move", "settle", "light", "expose", "download", "decode", "write")
+    lit = [shot["spans"] for shot in shots if shot["kind"] == "light"]
     return {
         "complete": len(found) == len(wanted),
         "tried_again": sum(shot["attempts"] > 1 for shot in shots),
         "worst_deg": float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).max()),
-        "median_ms": {part: round(1000 * statistics.median(shot[part] for shot in lit), 1) for part in parts},
+        "median_ms": {
+            part: round(1000 * statistics.median(end - begin for begin, end in spans), 1)
+            for part, spans in ((part, [shot[part] for shot in lit]) for part in parts)
+        },
     }
 
 

@@ -2,25 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from acquisition.calibration.applying import load_corrections
+from acquisition.capture import capture as take
+from acquisition.conditions import conditions_of
 from acquisition.developing import Geometry
 from acquisition.plan import CapturePlan, read_plan
-from acquisition.session import capture as take
+from acquisition.session import PATIENCE_S
+from acquisition.taken import EventKind, SessionEvent
+from api.attendance import attendance
 from api.devices import open_bench
 from api.rig_file import calibration_files, in_rig, read_rig
-from api.surface_source import read_surface
 from api.verbs.importing import describe
-from reconstruct.evaluate import same_camera
 from reconstruct.model import Progress, no_progress
 from stage.errors import InputError
 from stage.rig import Rig
 
+TOLD: frozenset[EventKind] = frozenset(
+    {"paused", "operator", "resumed", "suspended", "continued", "skipped", "faulty", "stopping", "emergency-stop"}
+)
+"""Events that a person at the terminal reads while they happen."""
+WHAT_NEXT = "; then type 'lightstage session {} resume' in another terminal"
+
 
 def capture(
-    rig: Path, plan: Path, out: Path, *, resume: bool = False, progress: Progress = no_progress
+    rig: Path,
+    plan: Path,
+    out: Path,
+    *,
+    resume: bool = False,
+    alerts: Sequence[str] = (),
+    patience_s: float = PATIENCE_S,
+    note: Callable[[str], None] = lambda sentence: None,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Drive the rig's devices through a plan and write the dataset folder `out`.
 
@@ -32,6 +49,12 @@ def capture(
         ``plan.json`` as ``plan`` writes it. The surface that it was made for becomes the dataset's geometry.
     resume : bool
         Go on with an interrupted capture of the same plan.
+    alerts : sequence of str
+        Web addresses and commands that are told when somebody is needed: see `acquisition.alerts`.
+    patience_s : float
+        How long a disk that refuses is asked again before the session ends.
+    note : callable
+        Told in a sentence what happens on the way; called from any thread.
 
     Returns
     -------
@@ -44,25 +67,36 @@ def capture(
         Before anything moves, for a plan that the rig cannot carry out or a place that cannot be written.
     DeviceError
         Where a device failed; the frames taken so far are kept for `resume`.
+    EndedEarlyError
+        Where somebody ended the session from another terminal.
     """
     description, planned = read_rig(rig), read_plan(plan)
     corrections = load_corrections(calibration_files(description, rig))
     calibrated = corrections.rig(description)
     geometry = planned_surface(planned, calibrated, source=plan)
     try:
-        with open_bench(description) as bench:
+        with attendance(out, alerts, note) as attended, open_bench(description) as bench:
+            devices = bench.motion, bench.lamp, bench.camera
+
+            def on_event(event: SessionEvent) -> None:
+                attended.heard(event)
+                if event.kind in TOLD:
+                    note(f"{event.kind}: {event.message}" + (WHAT_NEXT.format(out) if event.kind == "operator" else ""))
+
             # The description with "sim:" ports, not the passing pseudo-terminals, is what the dataset should remember.
             dataset = take(
                 planned,
-                bench.motion,
-                bench.lamp,
-                bench.camera,
+                *devices,
                 out,
                 rig=description,
                 corrections=corrections,
                 resume=resume,
                 geometry=geometry,
+                conditions=conditions_of(description, devices, rig.parent, bench.clock),
+                patience_s=patience_s,
                 clock=bench.clock,
+                on_event=on_event,
+                attended=attended.attended,
                 progress=progress,
             )
     except InputError as error:
@@ -82,6 +116,10 @@ def planned_surface(plan: CapturePlan, rig: Rig, *, source: Path) -> Geometry:
     place = plan.provenance.get("surface")
     if not isinstance(place, str):
         return Geometry()
+    # What casts rays and compares pictures takes a second to load.
+    from api.surface_source import read_surface
+    from reconstruct.evaluate import same_camera
+
     field = f"{source}: provenance.surface"
     if not Path(place).exists():
         raise InputError(f"{field}: {place!r} is gone; put it back, or remove the field to capture without geometry")

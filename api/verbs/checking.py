@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from acquisition.conditions import conditions_of
 from acquisition.radiance import RawFrame, read_frame
 from api.devices import Workshop, on_its_wires
 from api.rig_file import in_rig, read_calibrated_rig
@@ -69,7 +70,8 @@ def check_rig(path: Path, *, move: bool = False) -> list[Finding]:
     Returns
     -------
     list of Finding
-        One per device: motion, light, camera, and what the camera sees of the light.
+        One per device: motion, light, camera, what the camera sees of the light, and whether each interlock would let
+        a capture go on.
 
     Raises
     ------
@@ -78,7 +80,7 @@ def check_rig(path: Path, *, move: bool = False) -> list[Finding]:
     """
     rig = read_calibrated_rig(path)
     try:
-        findings = _findings(rig, move)
+        findings = _findings(rig, path.parent, move)
     except InputError as error:
         raise InputError(in_rig(str(error), path)) from None
     for finding in findings:
@@ -87,7 +89,7 @@ def check_rig(path: Path, *, move: bool = False) -> list[Finding]:
     return findings
 
 
-def _findings(rig: Rig, move: bool) -> list[Finding]:
+def _findings(rig: Rig, folder: Path, move: bool) -> list[Finding]:
     with on_its_wires(rig if move else rig.at_rest()) as wires, ExitStack() as stack:
         plugged, clock = wires.rig, wires.clock
         workshop = Workshop(plugged, clock, wires.usb, wires.world)
@@ -109,6 +111,10 @@ def _findings(rig: Rig, move: bool) -> list[Finding]:
             findings.append(sight)
             with _noted(sight):
                 sight.facts |= _seen(lamp[1], camera[1], plugged, clock)
+        devices = [device for _, device in (motion, lamp, camera)]
+        if None not in devices:
+            for condition in conditions_of(rig, devices, folder, clock):
+                findings.append(Finding("interlock", condition.name, condition.reason()))
         return findings
 
 

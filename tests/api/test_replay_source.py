@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from acquisition.capture import capture
 from acquisition.dataset import IlluminationDataset, open_dataset, write_dataset
 from acquisition.importing import load_any
 from acquisition.plan import CapturePlan, PlannedLight
 from acquisition.radiance import read_frame
-from acquisition.session import capture
 from api.replay_source import DatasetPhotographs, lit_in
 from drivers.dynamixel import DynamixelChain
 from drivers.enttec import EnttecLamp

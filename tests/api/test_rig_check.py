@@ -61,6 +61,26 @@ def test_a_description_that_is_wrong_is_refused_before_anything_is_opened(refuse
     assert "no such file" in refused("rig", "check", tmp_path / "none.yaml")
 
 
+def test_interlocks_say_whether_a_capture_would_go_on(run, refused, described):
+    door = {"kind": "command", "name": "door", "run": ["test", "-e", "closed"]}
+    lost = {"kind": "command", "name": "fan", "run": ["./no-such-command"]}
+    heat = {"kind": "temperature", "limit_c": 60, "resume_c": 50}
+    description = yaml.safe_load(described.read_text())
+    described.write_text(yaml.safe_dump(description | {"interlocks": [door, lost, heat]}))
+    (described.parent / "closed").touch()
+    outcome = run("rig", "check", described, "--json")
+    assert outcome.code == 1
+    found = {one["device"]: one for one in outcome.json if one["role"] == "interlock"}
+    assert found["door"]["ok"]
+    assert found["temperature"]["ok"]
+    assert found["fan"]["trouble"] == "the command ./no-such-command cannot be run (No such file or directory)"
+    dome = {"driver": "fixed-dome"}
+    emitter = description["light"]["emitters"][0] | {"position_m": [0, 0, 0.7]}
+    light = description["light"] | {"emitters": [emitter]}
+    described.write_text(yaml.safe_dump(description | {"motion": dome, "light": light, "interlocks": [heat]}))
+    assert "interlocks[0].kind: no device of this rig tells its temperature" in refused("rig", "check", described)
+
+
 @pytest.mark.slow
 def test_on_real_ports_a_dead_lamp_and_a_missing_device_are_found(run, tmp_path):
     with simulation(tmp_path) as stage:

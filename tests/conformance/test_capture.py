@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acquisition.capture import capture
 from acquisition.dataset import IlluminationDataset
 from acquisition.plan import CapturePlan
-from acquisition.session import capture
 from api.devices import open_bench
 from api.verbs.planning import rig_lights
 from simulators.scene import dish

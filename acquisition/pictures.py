@@ -59,7 +59,7 @@ def is_picture(data: bytes) -> bool:
     if not data.startswith(TIFF) or data[8:10] == CANON:
         return False
     try:
-        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
+        with io.BytesIO(data) as file, tifffile.TiffFile(file) as tiff:  # else a cycle keeps the bytes alive
             tags = tiff.pages.first.tags
             # DNG says so; other RAW files keep a preview first, and the mosaic in a directory below it
             if DNG_VERSION in tags or SUB_IFDS in tags:

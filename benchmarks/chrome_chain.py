@@ -19,9 +19,9 @@ import numpy as np
 from acquisition.calibration.chrome import calibrate_lights, mean_picture
 from acquisition.calibration.lights import LightsCalibration
 from acquisition.calibration.outlines import Outline, given_circle, of_sphere, refined
+from acquisition.capture import capture
 from acquisition.dataset import IlluminationDataset
 from acquisition.plan import CapturePlan, PlannedLight
-from acquisition.session import capture
 from drivers.dynamixel import DynamixelChain
 from drivers.enttec import EnttecLamp
 from drivers.ptp_camera import PtpCamera

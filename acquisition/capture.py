@@ -7,8 +7,6 @@ from contextlib import AbstractContextManager, nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from acquisition.calibration.applying import Corrections
 from acquisition.check import Places, check, require_clock, require_exposures
 from acquisition.conditions import Condition
@@ -30,7 +28,6 @@ from stage.devices import AxisGroup, FrameCamera, Lamp
 from stage.errors import EndedEarlyError, InputError
 from stage.flashing import FlashGuard
 from stage.rig import Replay, Rig
-from stage.validation import first_fault
 
 DEFAULT_LIMITS = Limits()
 
@@ -117,12 +114,13 @@ def capture(
     record = open_record(out, ready, resume=resume, disk=disk)
     if (out / "dataset.json").exists() and not record.missing:
         return open_dataset(out)
+    record.require_size(rig.camera.width, rig.camera.height)
     require_clock(record.last_begun, now(), out)
     start = motion.positions()
     try:
         places = _checked_places(record, rig, out, camera, start, disk)
     except InputError:
-        if record.places is None or any(len(joints) != len(start) for joints in record.places.values()):
+        if record.places is None:
             raise
         record.places = None  # of another rig, perhaps
         places = _checked_places(record, rig, out, camera, start, disk)
@@ -130,10 +128,7 @@ def capture(
     if limits is not None:
         replayed = isinstance(rig.camera.device, Replay)
         watch = QualityWatch(limits, exposures_s=ready.exposures_s, repeats_alike=replayed)
-        try:
-            watch.restore(record.lines, record.shots)
-        except ValidationError as error:
-            raise InputError(f"{record.folder / 'shots.jsonl'}: statistics: {first_fault(error)}") from None
+        watch.restore(record.lines, record.shots)
     session = Session(
         record,
         rig,
@@ -174,7 +169,11 @@ def _checked_places(
 ) -> Places:
     """Where the joints go for what is missing, with which it has been found possible; raises `InputError`."""
     plan = record.plan
-    places = places_in_order(plan, rig, record.shots, start) if record.places is None else record.places
+    known = record.places
+    if known is None or any(len(joints) != len(start) for joints in known.values()):
+        places = places_in_order(plan, rig, record.shots, start)
+    else:
+        places = known
     due = in_turn(plan, record.missing, places)
     check(plan, rig, out, shots=due, places=places, camera=camera, start=start, disk=disk)
     record.places = places

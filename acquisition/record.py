@@ -31,6 +31,7 @@ from pydantic import TypeAdapter, ValidationError
 from acquisition.check import Places
 from acquisition.disk import Disk
 from acquisition.plan import CapturePlan, Shot, read_plan
+from acquisition.quality import FrameStatistics
 from acquisition.taken import SessionEvent, TakenShot
 from stage.errors import InputError
 
@@ -116,6 +117,15 @@ class CaptureRecord:
     def is_ours(self) -> bool:
         """Whether the folder is there and this process captures into it."""
         return self._lock is not None
+
+    def require_size(self, width: int, height: int) -> None:
+        """Raise `InputError` where frames are recorded whose pictures are of another size."""
+        for line in self.lines:
+            if (line.width, line.height) != (width, height):
+                raise InputError(
+                    f"rig: camera.width, camera.height: expected {line.width} x {line.height} like the frames that are "
+                    f"recorded in {self.out}, got {width} x {height}; go on with the rig that took them"
+                )
 
     def begin(self) -> None:
         """Make the folder and write the plan, or cut off what a crash has torn; nothing is written before.
@@ -218,6 +228,8 @@ class CaptureRecord:
             self._log_bytes += len(line)
             try:
                 one = TakenShot.model_validate_json(line)
+                if one.statistics is not None:
+                    FrameStatistics.from_record(one.statistics)
             except ValidationError as error:
                 fault = error.errors(include_url=False)[0]["msg"]
                 raise InputError(f"{self._log}: line {number}: is damaged ({fault})") from None

@@ -83,6 +83,8 @@ class TakenShot(PlanPart):
         Exposure time commanded, and the one that the camera set.
     file, sha256, size_bytes : str, str, int
         The RAW file, relative to the record's folder.
+    width, height : int
+        Of the picture that is made of it, pixels.
     commanded, measured : tuple of float or None
         Joint values sent, and those read back before the exposure, radians or metres; None for a dark frame.
     levels : tuple of float
@@ -116,6 +118,8 @@ class TakenShot(PlanPart):
     file: str
     sha256: str
     size_bytes: int
+    width: int
+    height: int
     commanded: tuple[float, ...] | None
     measured: tuple[float, ...] | None
     levels: tuple[float, ...]

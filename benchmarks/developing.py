@@ -110,6 +110,8 @@ def recorded(out: Path, size: tuple[int, int], lights: int, fields: dict[str, An
                 file=file,
                 sha256=digest,
                 size_bytes=size_bytes,
+                width=size[0] // 2,
+                height=size[1] // 2,
                 commanded=None,
                 measured=None,
                 levels=(float(shot.kind == "light"),),

@@ -267,6 +267,8 @@ def _line(shot: Shot, statistics: FrameStatistics, count: int) -> TakenShot:
         file=f"raw/{shot.name}.dng",
         sha256=f"{shot.index:064x}",
         size_bytes=1,
+        width=1,
+        height=1,
         commanded=None,
         measured=None,
         levels=(1.0,),

@@ -218,6 +218,8 @@ class Filing:
             file=file,
             sha256=digest,
             size_bytes=len(frame.data),
+            width=raw.size[0],
+            height=raw.size[1],
             commanded=photograph.commanded,
             measured=None if photograph.arrival is None else photograph.arrival.positions,
             levels=photograph.levels,

@@ -24,7 +24,7 @@ from acquisition.session.course import Course, EndedError, Listener
 from acquisition.session.filing import Filing
 from acquisition.session.loop import ATTEMPTS, Loop
 from acquisition.session.schedule import Schedule
-from acquisition.session.signals import Signals, first_signal_only
+from acquisition.session.signals import Signals, first_signal_only, named
 from acquisition.session.states import Outcome, Phase, SessionStatus
 from acquisition.session.taking import Taking
 from stage.clock import Clock, SystemClock
@@ -235,8 +235,7 @@ class Session:
             if isinstance(error, Exception) and not interrupted(error):
                 self.outcome, self._course.reason = Outcome.FAILED, str(error)
             else:  # Ctrl-C or another signal
-                kind = KeyboardInterrupt if interrupted(error) else type(error)
-                self.outcome, self._course.reason = Outcome.ABORTED, kind.__name__
+                self.outcome, self._course.reason = Outcome.ABORTED, named(error)
             raise
         finally:
             signals.hold()

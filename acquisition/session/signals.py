@@ -8,7 +8,11 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
 
+from stage.interruption import interrupted
+
 Handler = Callable[[int, FrameType | None], object] | int | None
+EXIT_BASE = 128
+"""What a shell adds to a signal's number."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -44,7 +48,7 @@ class Signals:
         if callable(handler):
             handler(number, frame)
         else:
-            raise SystemExit(128 + number)
+            raise SystemExit(EXIT_BASE + number)
 
 
 @contextmanager
@@ -68,3 +72,12 @@ def first_signal_only() -> Iterator[Signals]:
         for number, handler in before.items():
             signal.signal(number, handler)
     signals.release()
+
+
+def named(error: BaseException) -> str:
+    """What has unwound the stack, for people."""
+    if interrupted(error):
+        return "Ctrl-C"
+    if isinstance(error, SystemExit) and isinstance(error.code, int) and error.code > EXIT_BASE:
+        return signal.Signals(error.code - EXIT_BASE).name
+    return type(error).__name__

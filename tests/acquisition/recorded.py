@@ -16,7 +16,7 @@ from acquisition.record import CaptureRecord, open_record
 from acquisition.taken import TakenShot
 from simulators.raw import Sensor, through_filters
 from stage.lights import dome
-from tests.acquisition.fake_stage import FULL, noon
+from tests.acquisition.fake_stage import FULL, HEIGHT, WIDTH, noon
 
 SENSOR = Sensor(read_noise_e=4.0)
 SECONDS_APART = 10.0
@@ -53,6 +53,8 @@ def taken_of(record: CaptureRecord, shot: Shot, data: bytes, suffix: str = ".dng
         "file": file,
         "sha256": hashlib.sha256(data).hexdigest(),
         "size_bytes": len(data),
+        "width": WIDTH,
+        "height": HEIGHT,
         "commanded": None if light is None else (0.0, 0.0),
         "measured": None if light is None else (0.0, 0.0),
         "levels": (0.0 if light is None else 1.0,),

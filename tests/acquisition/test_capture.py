@@ -145,7 +145,7 @@ def test_ctrl_c_inside_a_compiled_kernel_aborts(tmp_path: Path) -> None:
         run(stage, out)
     assert stage.is_safe()
     assert end_of(out)["outcome"] == "aborted"
-    assert end_of(out)["reason"] == "KeyboardInterrupt"
+    assert end_of(out)["reason"] == "Ctrl-C"
 
 
 @pytest.mark.parametrize("step", ["write_frame", "add"])
@@ -371,7 +371,7 @@ def test_a_damaged_record_is_named(tmp_path: Path, line: str | None, reason: str
     [
         ("started", "yesterday", "line 2: is damaged"),
         ("started", "2026-11-22T20:53:36", "line 2: is damaged .*zone"),
-        ("statistics", {"clipped": "much"}, r"shots\.jsonl: statistics: "),
+        ("statistics", {"clipped": "much"}, r"line 2: is damaged"),
     ],
 )
 def test_a_damaged_field_of_a_record_is_named(tmp_path: Path, field: str, value: object, reason: str) -> None:
@@ -471,6 +471,7 @@ def test_sigterm_leaves_the_stage_dark(tmp_path: Path) -> None:
     with pytest.raises(SystemExit):
         run(stage, tmp_path / "out")
     assert stage.is_safe()
+    assert end_of(tmp_path / "out")["reason"] == "SIGTERM"
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
@@ -532,3 +533,13 @@ def test_a_file_that_came_torn_and_comes_whole_in_place_of_the_next_is_refused(
     assert {n: d for n, d in contents(out).items() if n.endswith(("dng", "exr"))} == {
         n: d for n, d in whole.items() if n.endswith(("dng", "exr"))
     }
+
+
+def test_a_camera_of_another_size_does_not_go_on_with_a_capture(tmp_path: Path) -> None:
+    out, stage, again = tmp_path / "out", FakeStage(), FakeStage()
+    stage.camera.before = fail([4], KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        run(stage, out)
+    with pytest.raises(InputError, match=r"camera.width.*expected 14 x 12.*got 28 x 24"):
+        run(again, out, rig=make_rig(width=28, height=24), geometry=None, resume=True)
+    assert again.camera.shots == again.motion.moves == 0

@@ -277,6 +277,8 @@ def line(view: FrameView, statistics: FrameStatistics) -> TakenShot:
         file=f"raw/{shot.name}.dng",
         sha256=view.sha256,
         size_bytes=1,
+        width=1,
+        height=1,
         commanded=None,
         measured=None,
         levels=(1.0,),

@@ -164,7 +164,8 @@ class CaptureRecord:
         line = (taken.model_dump_json() + "\n").encode()
         self._disk.append_synced(self._log, line, self._log_bytes)
         self._log_bytes += len(line)
-        self._know(taken)
+        # the statistics are for a run that takes over: in memory, thousands of frames of them would be in the way
+        self._know(taken.model_copy(update={"statistics": None}))
 
     def note(self, event: SessionEvent) -> None:
         """Write what happened, where the disk can take it: a note is no reason to stop a capture."""

@@ -307,9 +307,9 @@ class StillCamera(Part):
             self._stray = frame  # it turns up later, in place of another
             self.fail(mishap)
         self.take(SLOW_S if mishap == "slow download" else DOWNLOAD_S)
-        before, self._last = self._last, frame
-        if mishap == "same file again" and before is not None:
-            return replace(frame, data=before.data)
+        if mishap == "same file again" and self._last is not None:
+            return replace(frame, data=self._last.data)
+        self._last = frame
         if mishap == "file of the shot before" and self._stray is not None:
             stray, self._stray = self._stray, frame
             return stray

@@ -87,7 +87,7 @@ def test_the_folder_of_another_plan(run, refused, rig, plan, tmp_path) -> None:
     other = changed(plan, dark_frames=7)
     begun = open_record(out, read_plan(other).with_exposure(read_rig(rig).camera.device.exposure_s), resume=False)
     begun.begin()
-    take_first(begun, timedelta())
+    take_first(begun, rig, timedelta())
     begun.end(outcome="stopped")
     assert run("check", "--rig", rig, "--plan", other, out).stdout.startswith("26 shots: 6 dark, 20 light")
     changed(plan, dark_frames=4)
@@ -113,7 +113,7 @@ def test_a_clock_that_went_backwards(run, refused, rig, plan, tmp_path) -> None:
     record = open_record(out, ready, resume=False)
     record.begin()
     for number, (ahead, verdict) in enumerate(((timedelta(hours=-1), 0), (timedelta(hours=1), 2)), 1):
-        take_first(record, ahead, number)
+        take_first(record, rig, ahead, number)
         outcome = run("check", "--rig", rig, "--plan", plan, out)
         assert outcome.code == verdict, outcome
         if verdict == 0:
@@ -150,14 +150,16 @@ def begin_tomorrow(plan: Path, rig: Path, out: Path) -> None:
     """A capture that somebody has begun and whose clock was a day ahead."""
     record = open_record(out, read_plan(plan).with_exposure(read_rig(rig).camera.device.exposure_s), resume=False)
     record.begin()
-    take_first(record, timedelta(days=1))
+    take_first(record, rig, timedelta(days=1))
     record.end(outcome="stopped")
 
 
-def take_first(record: CaptureRecord, ahead: timedelta, run: int = 1) -> None:
+def take_first(record: CaptureRecord, rig: Path, ahead: timedelta, run: int = 1) -> None:
     """Record the first frame of a plan, by a clock that is ahead of ours."""
     started = (datetime.now(UTC) + ahead).isoformat()
-    record.add(taken_of(record, record.shots[0], b"frame", started=started, run=run))
+    camera = read_rig(rig).camera
+    size = {"width": camera.width, "height": camera.height}
+    record.add(taken_of(record, record.shots[0], b"frame", started=started, run=run, **size))
 
 
 def test_a_plan_that_is_written_as_yaml(run, rig, tmp_path) -> None:

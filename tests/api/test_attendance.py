@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from api.devices import open_bench
 from api.last_word import last_word
 from api.session_control import ask
 from simulators.scene import dish
+from stage.devices import Exposure
 from stage.errors import DeviceError, InputError
 from stage.rig import Rig
 from tests.api.simulation import reachable_rig
@@ -141,16 +143,27 @@ def test_an_open_door_suspends_the_capture_tells_somebody_and_lets_it_go_on_by_i
 
 def test_pause_retake_and_resume_from_another_terminal(tmp_path, run):
     with Unattended(tmp_path) as capture:
-        run("session", capture.out, "pause", "--reason", "a visitor")
-        capture.until(lambda: ask(capture.out, "status")["status"]["phase"] == "paused")
+        camera, exposures = capture.bench.camera, count(1)
+        expose = camera.expose
+
+        def exposing(exposure_s: float) -> Exposure:
+            if next(exposures) == 4:
+                run("session", capture.out, "pause", "--reason", "a visitor")
+            return expose(exposure_s)
+
+        camera.expose = exposing
         capture.close_door()
+        capture.until(lambda: ask(capture.out, "status")["status"]["phase"] == "paused")
         assert ask(capture.out, "status")["status"]["reason"] == "a visitor"
-        run("session", capture.out, "retake", 3, "--reason", "the dog")
-        refusal = run("session", capture.out, "retake", SHOTS)
+        capture.until(lambda: len(recorded(capture.out)) == 4)
+        [again, *_] = [shot for shot, _ in recorded(capture.out)]
+        [untaken, *_] = set(range(SHOTS)) - {shot for shot, _ in recorded(capture.out)}
+        run("session", capture.out, "retake", again, "--reason", "the dog")
+        refusals = [run("session", capture.out, "retake", shot) for shot in (SHOTS, untaken)]
         assert run("session", capture.out, "resume").code == 0
-    assert refusal.code == 2
+    assert [refusal.code for refusal in refusals] == [2, 2]
     assert capture.outcome is Outcome.COMPLETED
-    assert sorted(recorded(capture.out)) == sorted([(shot, 1) for shot in range(SHOTS)] + [(3, 2)])
+    assert sorted(recorded(capture.out)) == sorted([(shot, 1) for shot in range(SHOTS)] + [(again, 2)])
     events = [json.loads(line) for line in (capture.out / "capture" / "events.jsonl").read_text().splitlines()]
     assert [one["message"] for one in events if one["kind"] in ("paused", "retake")] == ["a visitor", "the dog"]
 

@@ -8,6 +8,7 @@ import socket
 import stat
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -346,10 +347,15 @@ def test_what_a_killed_session_has_left_is_replaced(out):
         assert ask(out, "status")["ok"]
 
 
+@pytest.fixture
+def runtime() -> Iterator[Path]:
+    """A folder whose name is short enough for a socket in it, as pytest's own need not be."""
+    with tempfile.TemporaryDirectory(prefix="ls-") as folder:
+        yield Path(folder)
+
+
 @pytest.mark.parametrize("killed", [False, True])
-def test_a_folder_whose_name_is_too_long_for_a_socket(tmp_path, monkeypatch, killed):
-    runtime = tmp_path / "run"
-    runtime.mkdir()
+def test_a_folder_whose_name_is_too_long_for_a_socket(tmp_path, monkeypatch, killed, runtime):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
     out = tmp_path / ("x" * 100)
     (out / "capture").mkdir(parents=True)

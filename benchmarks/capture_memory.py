@@ -4,7 +4,8 @@
 photosites: RAW files of 2 and 48 MB, and pictures of 500 x 500 and 3000 x 2000 pixels. The stage is in memory and takes
 no time; RAW files are real ones, written to the disk and read again, 8.4 GB of them, in the folder for temporary files.
 
-``python -m benchmarks.capture_memory FILE.png`` also draws memory against frames.
+``python -m benchmarks.capture_memory FILE.png`` prints the figures and draws memory against frames. It takes half an
+hour and is not part of ``python -m benchmarks``.
 """
 
 from __future__ import annotations
@@ -67,19 +68,6 @@ SIZES = (
 )
 
 
-def run(sizes: Sequence[Size] = SIZES) -> dict[str, Any]:
-    """Capture and develop each size in a process of its own.
-
-    Returns
-    -------
-    dict
-        By name: ``shots``, ``raw_MB`` of a file, ``before_MiB`` (resident memory before the first shot), and for
-        ``capture`` and ``develop`` ``peak_MiB`` and ``growth_MiB``: how much larger the median of the last fifth is
-        than that of the second; ``seconds`` of both together.
-    """
-    return {size.name: figures(size, measure(size)) for size in sizes}
-
-
 def measure(size: Size) -> list[tuple[float, float, float]]:
     """Capture and develop in a process of its own: share of the work, resident MiB and seconds, again and again."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
@@ -87,7 +75,12 @@ def measure(size: Size) -> list[tuple[float, float, float]]:
 
 
 def figures(size: Size, samples: Sequence[tuple[float, float, float]]) -> dict[str, Any]:
-    """What `run` returns for one size."""
+    """Figures of one size, from what `measure` saw.
+
+    ``shots``, ``raw_MB`` of a file, ``before_MiB`` (resident memory before the first shot), ``seconds`` of all, and for
+    ``capture`` and ``develop`` ``peak_MiB`` and ``growth_MiB``: how much larger the median of the last fifth is than
+    that of the second.
+    """
     found: dict[str, Any] = {
         "shots": size.candidates.how_many,
         "raw_MB": 2 * size.photosites[0] * size.photosites[1] / 1e6,

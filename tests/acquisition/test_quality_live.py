@@ -32,6 +32,8 @@ def frame(shot: int, begin_s: float, *, saturated: float = 0.0, accepted: bool =
         "file": "raw/x.dng",
         "sha256": "0",
         "size_bytes": 1,
+        "width": 1,
+        "height": 1,
         "commanded": None,
         "measured": None,
         "levels": (1.0,),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from acquisition.dataset.headers import PictureError
 from acquisition.dataset.images import check_finite, decode_picture
 from stage.errors import DeviceError
+
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # else it prints what a torn file lacks
 
 PNG, JPEG, EXR = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"\x76\x2f\x31\x01"
 TIFF = (b"II*\0", b"MM\0*")

@@ -371,6 +371,7 @@ def test_a_person_who_cannot_be_told_does_not_end_the_alerts(tmp_path):
     alert(event(message="second"))
     until(log.exists)
     alert.close()
+    assert '"second"' in log.read_text()
 
 
 # The session does not wait, and the last word goes out

@@ -78,7 +78,10 @@ def test_statistics_are_small_and_survive_their_json(rng: np.random.Generator) -
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (12, 14), (64, 43)])
 def test_a_picture_of_any_size_has_statistics(size: tuple[int, int], rng: np.random.Generator) -> None:
     values = (600 + 50 * rng.random((*size, 3))).astype(np.float32)
-    frame_statistics(RawFrame(values, values > WHITE, np.full(3, BLACK), WHITE, None))
+    found = frame_statistics(RawFrame(values, values > WHITE, np.full(3, BLACK), WHITE, None))
+    assert found.pixels == size[0] * size[1]
+    expected = (values.mean((0, 1), dtype=float) - BLACK) / (WHITE - BLACK)
+    np.testing.assert_allclose(found.mean, expected, rtol=1e-4)
 
 
 def test_a_lamp_that_is_off_is_told_from_a_light_that_grazes(watch: QualityWatch, rng: np.random.Generator) -> None:

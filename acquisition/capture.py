@@ -19,10 +19,11 @@ from acquisition.noise import SensorNoise
 from acquisition.plan import CapturePlan, read_plan
 from acquisition.quality import Limits, QualityWatch
 from acquisition.record import FOLDER, CaptureRecord, open_record
-from acquisition.session import ATTEMPTS, PATIENCE_S, Outcome, Session
+from acquisition.session import ATTEMPTS, PATIENCE_S, Chooser, Outcome, Session, require_choosable
 from acquisition.session.course import Listener
 from acquisition.session.session import Progress
-from acquisition.travel import in_turn, places_in_order
+from acquisition.travel import places_in_order
+from acquisition.worst_case import ahead_of
 from stage.clock import Clock, SystemClock
 from stage.devices import AxisGroup, FrameCamera, Lamp
 from stage.errors import EndedEarlyError, InputError
@@ -59,6 +60,8 @@ def capture(
     on_event: Listener = lambda event: None,
     disk: Disk | None = None,
     attended: Callable[[Session], AbstractContextManager[object]] = lambda session: nullcontext(),
+    chooser: Chooser | None = None,
+    most: int | None = None,
 ) -> IlluminationDataset:
     """Photograph the object under every light of a plan, and write the dataset.
 
@@ -89,6 +92,11 @@ def capture(
         Called with the finished share, 0 to 1.
     disk : Disk, optional
         What the record is written through.
+    chooser : Chooser, optional
+        Names the lights that are taken out of the plan's, a few at a time, by what was photographed before; all are
+        taken where nobody chooses. The plan is one that `acquisition.session.require_choosable` accepts.
+    most : int, optional
+        Lights that a chooser gets at the most, >= 1.
 
     Raises
     ------
@@ -103,6 +111,8 @@ def capture(
     out = Path(out)
     known = corrections or Corrections.none()
     rig = known.rig(rig)
+    if chooser is not None:
+        require_choosable(plan)
     surface = geometry or Geometry()
     surface.require_size(rig.camera.width, rig.camera.height)
     clock = clock or SystemClock()
@@ -111,19 +121,19 @@ def capture(
     why = ""
     if ready.multiplexing != "off" and not ready.patterns:
         ready, why = _decided(ready, rig, known, guard, camera, out, clock=clock, resume=resume)
-    record = open_record(out, ready, resume=resume, disk=disk)
-    if (out / "dataset.json").exists() and not record.missing:
+    record = open_record(out, ready, resume=resume, disk=disk, chooses=chooser is not None)
+    if (out / "dataset.json").exists() and record.is_complete:
         return open_dataset(out)
     record.require_size(rig.camera.width, rig.camera.height)
     require_clock(record.last_begun, now(), out)
     start = motion.positions()
     try:
-        places = _checked_places(record, rig, out, camera, start, disk)
+        places = _checked_places(record, rig, out, camera, start, disk, most)
     except InputError:
         if record.places is None:
             raise
         record.places = None  # of another rig, perhaps
-        places = _checked_places(record, rig, out, camera, start, disk)
+        places = _checked_places(record, rig, out, camera, start, disk, most)
     watch = None
     if limits is not None:
         replayed = isinstance(rig.camera.device, Replay)
@@ -138,6 +148,8 @@ def capture(
         places=places,
         opening=why,
         watch=watch,
+        chooser=chooser,
+        most=most,
         conditions=conditions,
         attempts=attempts,
         corrections=known,
@@ -152,7 +164,7 @@ def capture(
     if outcome is not Outcome.COMPLETED:
         raise EndedEarlyError(
             f"{out}: the capture was {outcome.value} ({session.reason}) with {len(record.taken)} of "
-            f"{len(record.shots)} shots taken; go on with --resume"
+            f"{len(record.wanted)} shots taken; go on with --resume"
         )
     return develop(
         record,
@@ -165,17 +177,37 @@ def capture(
 
 
 def _checked_places(
-    record: CaptureRecord, rig: Rig, out: Path, camera: FrameCamera, start: Sequence[float], disk: Disk | None
+    record: CaptureRecord,
+    rig: Rig,
+    out: Path,
+    camera: FrameCamera,
+    start: Sequence[float],
+    disk: Disk | None,
+    most: int | None,
 ) -> Places:
-    """Where the joints go for what is missing, with which it has been found possible; raises `InputError`."""
+    """Where the joints go for all that may be taken, with which it has been found possible; raises `InputError`."""
     plan = record.plan
     known = record.places
+    begin: Sequence[float] | None = start
     if known is None or any(len(joints) != len(start) for joints in known.values()):
         places = places_in_order(plan, rig, record.shots, start)
     else:
         places = known
-    due = in_turn(plan, record.missing, places)
-    check(plan, rig, out, shots=due, places=places, camera=camera, start=start, disk=disk)
+        if record.decisions is not None:
+            begin = None  # it does not go on at the way's beginning
+    ahead = ahead_of(record, places, most)
+    check(
+        plan,
+        rig,
+        out,
+        shots=ahead.shots,
+        places=places,
+        camera=camera,
+        start=begin,
+        disk=disk,
+        counted=ahead.counted,
+        lights=ahead.lights,
+    )
     record.places = places
     return places
 

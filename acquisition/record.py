@@ -6,6 +6,7 @@
     OUT/capture/places.json      where the joints go for its lights, in the order of travel
     OUT/capture/raw/NAME.dng     each written, synced and renamed, and only then recorded
     OUT/capture/shots.jsonl      one line per recorded frame; a torn last line is no record
+    OUT/capture/decisions.jsonl  which lights were chosen as the capture went, and why (see `acquisition.decisions`)
     OUT/capture/events.jsonl     what happened: pauses, failures, findings, and who asked for what
     OUT/capture/end.json         how the last run ended
 
@@ -29,6 +30,8 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from acquisition.check import Places
+from acquisition.decisions import FILE as DECISIONS
+from acquisition.decisions import Decisions
 from acquisition.disk import Disk
 from acquisition.plan import CapturePlan, Shot, read_plan
 from acquisition.quality import FrameStatistics
@@ -55,11 +58,13 @@ class CaptureRecord:
     places : mapping or None
         Joint values by place in the order of travel, once they were found: an interrupted capture goes on in the same
         order, and need not look for it again.
+    decisions : Decisions or None
+        Where the plan's lights are candidates of which some are chosen as the capture goes; None where all are taken.
     run : int
         Number of the run that goes on, or went on last, counted from 1.
     """
 
-    def __init__(self, out: Path, plan: CapturePlan, disk: Disk | None = None) -> None:
+    def __init__(self, out: Path, plan: CapturePlan, disk: Disk | None = None, *, chooses: bool = False) -> None:
         self.out, self.plan = out, plan
         self.folder = out / FOLDER
         self.taken: dict[int, TakenShot] = {}
@@ -68,11 +73,13 @@ class CaptureRecord:
         self._places_there: Places | None = None
         self.run = 0
         self._disk = disk or Disk()
+        self._decided = self.folder / DECISIONS
+        self.decisions = Decisions(self._decided, self._disk) if chooses else None
         self._shots = plan.shots()
         self._takes: Counter[int] = Counter()
         self._log, self._events = self.folder / "shots.jsonl", self.folder / "events.jsonl"
         self._log_bytes = self._events_bytes = 0
-        self._seen = self._went_on, _ = self._state()
+        self._seen = self._went_on, *_ = self._state()
         self._lock: int | None = None
 
     @property
@@ -81,9 +88,52 @@ class CaptureRecord:
         return self._shots
 
     @property
+    def wanted(self) -> tuple[Shot, ...]:
+        """Shots of the plan; where lights are chosen as the capture goes, those that are known to be wanted so far.
+
+        Of the references those that were taken, since it takes more of them only where more lights are taken.
+        """
+        if self.decisions is None:
+            return self._shots
+        chosen = set(self.decisions.chosen)
+        return tuple(
+            shot
+            for shot in self._shots
+            if shot.index in self.taken
+            or shot.kind in ("dark", "flat")
+            or (shot.kind == "light" and chosen.issuperset(shot.candidates))
+        )
+
+    @property
     def missing(self) -> tuple[Shot, ...]:
-        """The plan minus what is recorded."""
+        """What is wanted, minus what is recorded."""
+        return tuple(shot for shot in self.wanted if shot.index not in self.taken)
+
+    @property
+    def possible(self) -> tuple[Shot, ...]:
+        """What is missing, and what may yet be chosen."""
+        if self.decisions is None or self.decisions.are_over:
+            return self.missing
         return tuple(shot for shot in self._shots if shot.index not in self.taken)
+
+    @property
+    def spare_references(self) -> tuple[Shot, ...]:
+        """Where lights are chosen as the capture goes, the references that may be taken; of a plan, they are `missing`.
+
+        Once it is over, one: where lights were photographed after the last reference.
+        """
+        if self.decisions is None:
+            return ()
+        left = tuple(shot for shot in self._shots if shot.kind == "reference" and shot.index not in self.taken)
+        if not self.decisions.are_over:
+            return left
+        kinds = [line.kind for line in self.taken.values() if line.kind in ("light", "reference")]
+        return left[:1] if kinds[-1:] == ["light"] else ()
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all that is wanted is recorded, and nothing more can be wanted."""
+        return (self.decisions is None or self.decisions.are_over) and not self.missing
 
     @property
     def due(self) -> tuple[Shot, ...]:
@@ -91,7 +141,7 @@ class CaptureRecord:
         kept = self.taken.get
         return tuple(
             shot
-            for shot in self._shots
+            for shot in self.wanted
             if (one := kept(shot.index)) is None or (one.is_doubtful and one.run < self.run)
         )
 
@@ -140,6 +190,10 @@ class CaptureRecord:
                 raise InputError(f"{self.out}: output: another capture has run into it just now; start this one again")
         self.run += 1
         with self.writing():
+            if self.decisions is not None:  # before the plan, so that a plan alone says that all is taken
+                self.decisions.begin()
+            elif not (self.folder / "plan.json").exists():
+                self._decided.unlink(missing_ok=True)  # of one that did not get as far as its plan
             if not (self.folder / "plan.json").exists():
                 plan = (json.dumps(self.plan.to_json(), indent=1) + "\n").encode()
                 self._disk.write_synced(self.folder / "plan.json", plan)
@@ -223,6 +277,8 @@ class CaptureRecord:
 
     def read(self) -> None:
         """Take over what earlier runs have recorded; raises `InputError` where a line is damaged."""
+        if self.decisions is not None:
+            self.decisions.read(set(self.plan.chosen))
         raw = self.folder / "raw"
         sizes = {f"raw/{file.name}": file.stat().st_size for file in os.scandir(raw)} if raw.is_dir() else {}
         for number, line in enumerate(self._whole_lines(self._log), 1):
@@ -262,9 +318,10 @@ class CaptureRecord:
         content = path.read_bytes() if path.exists() else b""
         return [line for line in content.splitlines(True) if line.endswith(b"\n")]
 
-    def _state(self) -> tuple[bool, int]:
+    def _state(self) -> tuple[bool, int, int]:
         """What tells whether somebody else has captured into the folder since it was read."""
-        return (self.folder / "plan.json").exists(), self._log.stat().st_size if self._log.exists() else 0
+        frames, decisions = (path.stat().st_size if path.exists() else 0 for path in (self._log, self._decided))
+        return (self.folder / "plan.json").exists(), frames, decisions
 
     def _claim(self) -> None:
         self._lock = os.open(self.folder, os.O_RDONLY)
@@ -285,7 +342,9 @@ def cannot_be_written(out: Path, error: OSError) -> str:
     return f"{out}: output: cannot be written ({error.strerror}); the frames taken so far are kept, go on with --resume"
 
 
-def open_record(out: str | Path, plan: CapturePlan, *, resume: bool, disk: Disk | None = None) -> CaptureRecord:
+def open_record(
+    out: str | Path, plan: CapturePlan, *, resume: bool, disk: Disk | None = None, chooses: bool | None = None
+) -> CaptureRecord:
     """Look at a capture's folder, to begin there or to go on; nothing is written yet.
 
     Parameters
@@ -298,6 +357,9 @@ def open_record(out: str | Path, plan: CapturePlan, *, resume: bool, disk: Disk 
         Whether an interrupted capture of the same plan may be there.
     disk : Disk, optional
         What the record is written through.
+    chooses : bool, optional
+        Whether the plan's lights are candidates of which some are chosen as the capture goes; as the folder says where
+        not given.
 
     Raises
     ------
@@ -306,19 +368,23 @@ def open_record(out: str | Path, plan: CapturePlan, *, resume: bool, disk: Disk 
     """
     out = Path(out)
     try:
-        return _opened(out, plan, resume=resume, disk=disk)
+        return _opened(out, plan, resume=resume, disk=disk, chooses=chooses)
     except OSError as error:
         raise InputError(f"{error.filename or out}: cannot be read ({error.strerror}); choose another output") from None
 
 
-def _opened(out: Path, plan: CapturePlan, *, resume: bool, disk: Disk | None) -> CaptureRecord:
+def _opened(out: Path, plan: CapturePlan, *, resume: bool, disk: Disk | None, chooses: bool | None) -> CaptureRecord:
     folder = out / FOLDER
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: output: is a file, expected a folder that does not exist yet")
-    record = CaptureRecord(out, plan, disk)
-    if (folder / "plan.json").exists():
+    begun, chose = (folder / "plan.json").exists(), (folder / DECISIONS).exists()
+    record = CaptureRecord(out, plan, disk, chooses=begun and chose if chooses is None else chooses)
+    if begun:
         if not resume:
             raise InputError(f"{out}: output: holds a capture already; go on with it by --resume, or choose another")
+        if chooses is not None and chooses != chose:
+            how = "a capture that chooses its lights as it goes" if chose else "a capture of all lights of its plan"
+            raise InputError(f"{out}: output: holds {how}; go on with it {'with' if chose else 'without'} --until")
         if read_plan(folder / "plan.json").to_json() != plan.to_json():
             raise InputError(f"{folder / 'plan.json'}: holds another plan's capture; choose another output folder")
         record.read()

@@ -25,7 +25,7 @@ EventKind = Literal[
     "retake",
     "finding",
     "faulty",
-    "faulty",
+    "chosen",
     "stopping",
     "emergency-stop",
     "ended",
@@ -41,7 +41,7 @@ class SessionEvent(PlanPart):
         Time of day, UTC.
     kind : str
         What; ``operator`` is a pause until a person has done something at the stage, ``faulty`` a frame that stays
-        although something is wrong with it.
+        although something is wrong with it, ``chosen`` the decision which lights come next, or that none does.
     message : str
         One sentence for the person.
     shot : int or None

@@ -36,6 +36,8 @@ def check(
     start: Sequence[float] | None = None,
     timings: Timings | None = None,
     disk: Disk | None = None,
+    counted: Sequence[Shot] | None = None,
+    lights: int | None = None,
 ) -> Estimate:
     """Refuse a plan that the rig cannot carry out; estimate the cost of one that it can.
 
@@ -61,6 +63,10 @@ def check(
         Of camera, lamp and disk, for the estimate; assumed where they are not known.
     disk : Disk, optional
         Asked for its free space.
+    counted : sequence of Shot, optional
+        Those that the estimate is of, in their order, where that is not all of `shots`.
+    lights : int, optional
+        Of the dataset, where that is not all of the plan's.
 
     Raises
     ------
@@ -85,13 +91,15 @@ def check(
         lamp_levels(rig.light, shot)
     require_clear(rig, wanted, stops, start)
 
+    if counted is not None:
+        wanted, stops = counted, targets(rig, counted, places or {}, begin)
     pixels = rig.camera.width * rig.camera.height
     raw, datasets = RAW_BYTES * pixels, 1 + (ready.second_radius_m is not None) + ready.background
     estimate = Estimate(
         kinds=dict(Counter(shot.kind for shot in wanted)),
         duration=duration(rig, wanted, stops, begin, timings or Timings.assumed(rig, raw)),
         raw_bytes=raw * len(wanted),
-        dataset_bytes=PICTURE_BYTES * pixels * len(ready.chosen) * datasets,
+        dataset_bytes=PICTURE_BYTES * pixels * (lights or len(ready.chosen)) * datasets,
         free_bytes=(disk or Disk()).free_bytes(out),
     )
     if estimate.free_bytes < estimate.size_bytes * DISK_RESERVE:

@@ -113,11 +113,15 @@ def _one_ahead(frames: Iterator[Frame]) -> Iterator[Frame]:
 
 
 def _require_complete(record: CaptureRecord, partial: bool) -> None:
-    missing = record.missing
-    if missing and not partial:
+    if not partial and (missing := record.missing):
         raise InputError(
-            f"{record.folder}: {len(missing)} of {len(record.shots)} shots are missing, {missing[0].name} first; go on "
-            "with the capture, or develop what is there as a partial one"
+            f"{record.folder}: {len(missing)} of {len(record.wanted)} shots are missing, {missing[0].name} first; go "
+            "on with the capture, or develop what is there as a partial one"
+        )
+    if not partial and not record.is_complete:
+        raise InputError(
+            f"{record.folder}: more lights may be chosen yet; go on with the capture, or develop what is there as a "
+            "partial one"
         )
     if not any(one.kind == "light" and one.part == OBJECT for one in record.taken.values()):
         raise InputError(f"{record.folder}: shots.jsonl: holds no picture of the object under any light")

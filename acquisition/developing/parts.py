@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from typing import Any, Protocol
@@ -101,9 +101,22 @@ class Parts:
         patterns = self._patterns.get(part)
         return [*self._singles[part], *(() if patterns is None else patterns.candidates)]
 
-    def frames(self, part: str, *, variance: bool) -> Iterator[Frame]:
-        """Light, picture and options of each light, developed when it is asked for."""
-        for candidate, light, picture in self._developed(part):
+    @property
+    def knows_noise(self) -> bool:
+        """Whether pictures have a variance."""
+        return self._noise_source() != UNKNOWN
+
+    def singles(self, part: str) -> dict[int, tuple[Light, tuple[str, ...]]]:
+        """Lights that were photographed one by one: each as measured, and the checksums of its files."""
+        drift = self._drifts.get(part)
+        return {
+            candidate: (_light(taken, drift), tuple(one.sha256 for one in taken))
+            for candidate, taken in self._singles[part].items()
+        }
+
+    def frames(self, part: str, *, variance: bool, only: Collection[int] | None = None) -> Iterator[Frame]:
+        """Light, picture and options of each light, developed when it is asked for; of `only` some single lights."""
+        for candidate, light, picture in self._developed(part, only):
             self._clipped[part][str(candidate)] = picture.clipped_share
             options: dict[str, Any] = {"saturation": picture.saturation}
             if variance and picture.variance is not None:
@@ -113,18 +126,20 @@ class Parts:
             yield frame
             del frame  # memory is for the next one
 
-    def _developed(self, part: str) -> Iterator[tuple[int, Light, Developed]]:
+    def _developed(self, part: str, only: Collection[int] | None) -> Iterator[tuple[int, Light, Developed]]:
         drift = self._drifts.get(part)
         for candidate, taken in self._singles[part].items():
-            yield candidate, _light(taken, drift), self._pictures.develop(taken)
-        if part in self._patterns:
+            if only is None or candidate in only:
+                yield candidate, _light(taken, drift), self._pictures.develop(taken)
+        if part in self._patterns and only is None:
             yield from single_lights(self._patterns[part], self._pictures.develop)
 
     def provenance(self, part: str) -> dict[str, Any]:
         """What a part's dataset says of its origin; ``clipped_share`` fills while `frames` is drawn.
 
-        ``candidates`` are the lights of its frames in the plan. Of a part that is not the object, ``object_frames`` are
-        the numbers of the object's frames under the same lights, None where there is none.
+        ``candidates`` are the lights of its frames in the plan; where they were chosen as the capture went,
+        ``decisions`` says by what, and ``not_chosen`` are the others. Of a part that is not the object,
+        ``object_frames`` are the numbers of the object's frames under the same lights, None where there is none.
         """
         drift, candidates, of_object = self._drifts.get(part), self.candidates(part), self.candidates(OBJECT)
         paired = {} if part == OBJECT else {"object_frames": [_place(one, of_object) for one in candidates]}
@@ -144,11 +159,22 @@ class Parts:
             "lamp_drift": "unknown: no two reference frames" if drift is None else drift.to_json(),
             "clipped_share": self._clipped[part],
             "missing": [shot.name for shot in self._record.missing],
+            **self._decisions(),
             "rig": self._rig.to_json(),
             "plan": self._record.plan.to_json(),
             "shots": [
                 one.model_dump(mode="json", exclude={"statistics"}) for _, one in sorted(self._record.taken.items())
             ],
+        }
+
+    def _decisions(self) -> dict[str, Any]:
+        decisions = self._record.decisions
+        if decisions is None:
+            return {}
+        chosen = set(decisions.chosen)
+        return {
+            "decisions": [decision.model_dump(mode="json") for decision in decisions.made],
+            "not_chosen": [candidate for candidate in self._record.plan.chosen if candidate not in chosen],
         }
 
     def _flat_source(self) -> str | dict[str, Any]:

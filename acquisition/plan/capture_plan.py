@@ -187,6 +187,10 @@ class CapturePlan(PlanPart):
         """Indices of the candidates that are to be photographed."""
         return self.lights
 
+    def of_all_candidates(self) -> CapturePlan:
+        """The same plan with every candidate chosen, and nothing said of how those were found that were."""
+        return self._changed(lights=(), count=None, method=None, lower_bound=None, coverage=None)
+
     def with_exposure(self, base_s: float, nearest: Callable[[float], float] | None = None) -> CapturePlan:
         """The same plan with all exposure times in seconds.
 

@@ -62,13 +62,13 @@ class LiveStatistics:
     Parameters
     ----------
     total : int
-        Shots of the plan.
+        Shots of the plan; it may be set anew as more of them are wanted.
     run : int
         Number of the run that is going on; speeds are measured in it alone.
     """
 
     def __init__(self, total: int, run: int = 1) -> None:
-        self._total, self._run = total, run
+        self.total, self._run = total, run
         self._standing: set[int] = set()
         self._frames = self._retakes = 0
         self._findings: Counter[str] = Counter()
@@ -102,9 +102,9 @@ class LiveStatistics:
             frames=self._frames,
             accepted=len(self._standing),
             retakes=self._retakes,
-            total=self._total,
+            total=self.total,
             frames_per_minute=None if rate is None else 60 * rate,
-            eta_s=None if rate is None else (self._total - len(self._standing)) / rate,
+            eta_s=None if rate is None else (self.total - len(self._standing)) / rate,
             overlap=self._busy_s / wall if wall > 0 else None,
             findings=dict(self._findings),
             most_saturated=self._worst.get("saturated"),

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from acquisition.routing.travel import Array, Ints, Places
+from acquisition.routing.travel import Array, Ints, Stops
 
 NEAREST = 8
 """Neighbours per place whose edges the ascent looks at, besides those of the trees over all edges."""
@@ -49,14 +49,14 @@ class Bound:
     penalties: Array
 
 
-def held_karp(places: Places, upper_s: float, *, started: bool, deadline: float = np.inf) -> Bound:
+def held_karp(places: Stops, upper_s: float, *, started: bool, deadline: float = np.inf) -> Bound:
     """Bound the travel along any open way that visits every place once.
 
     The penalties are found on few edges per place; the bound itself comes from the shortest tree over all edges.
 
     Parameters
     ----------
-    places : Places
+    places : Stops
         At least one.
     upper_s : float
         Travel along a way that is known; it only sets the length of the steps.
@@ -90,7 +90,7 @@ def held_karp(places: Places, upper_s: float, *, started: bool, deadline: float 
     return best
 
 
-def _near_edges(places: Places) -> Ints:
+def _near_edges(places: Stops) -> Ints:
     """Pairs (m, 2) of places, the smaller first, of which one is among the nearest of the other."""
     count, pairs = len(places), []
     wanted = min(NEAREST, count - 1)
@@ -116,7 +116,7 @@ def _value(length: float, penalties: Array, started: bool) -> float:
     return length + float(penalties[_ends(penalties, started)].sum() - 2 * penalties.sum())
 
 
-def _ascend(places: Places, edges: Ints, penalties: Array, upper_s: float, started: bool, deadline: float) -> Array:
+def _ascend(places: Stops, edges: Ints, penalties: Array, upper_s: float, started: bool, deadline: float) -> Array:
     """Penalties that raise the bound, by subgradient steps (Held, Wolfe and Crowder, 1974)."""
     count = len(places)
     a, b = edges.T

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components, depth_first_order
 
 from acquisition.routing.bound import Bound
 from acquisition.routing.tour import uses
-from acquisition.routing.travel import Array, Ints, Places
+from acquisition.routing.travel import Array, Ints, Stops
 
 TOLERANCE_S = 1e-6
 """By which HiGHS may miss, per way: the bound is lowered by it."""
@@ -44,7 +44,7 @@ class Proof:
 
 
 def shortest_way(
-    places: Places,
+    places: Stops,
     known: Ints,
     bound: Bound,
     *,
@@ -56,7 +56,7 @@ def shortest_way(
 
     Parameters
     ----------
-    places : Places
+    places : Stops
         A few: the time grows quickly beyond a hundred.
     known : (n,) int
         A way, as from `short_way`; one with forbidden moves is good for nothing but to be given back.
@@ -109,7 +109,7 @@ def shortest_way(
 
 
 def _edges_left(
-    places: Places, bound: Bound, upper_s: float, started: bool, forbidden: Sequence[tuple[int, int]]
+    places: Stops, bound: Bound, upper_s: float, started: bool, forbidden: Sequence[tuple[int, int]]
 ) -> tuple[Ints, Ints, Array]:
     """Edges that a way no longer than `upper_s` may take, and those from the node between the ends: ends and travel.
 

@@ -7,7 +7,7 @@ places would take 3 GB.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numba import njit
@@ -17,6 +17,24 @@ from stage.rig import FixedDome, Motion
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+
+class Stops(Protocol):
+    """Places with seconds between them, wherever these come from."""
+
+    def __len__(self) -> int: ...
+
+    def some(self, chosen: Ints) -> Stops:
+        """See `Places.some`."""
+
+    def seconds(self, start: int, stop: int) -> Array:
+        """See `Places.seconds`."""
+
+    def along(self, order: Ints) -> Array:
+        """See `Places.along`."""
+
+    def shortest_tree(self, penalties: Array) -> tuple[float, Ints]:
+        """See `Places.shortest_tree`."""
 
 
 @dataclass(frozen=True, eq=False)

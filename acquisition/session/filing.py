@@ -206,7 +206,7 @@ class Filing:
         standing = self.record.taken.get(due.shot.index)
         better = standing is not None and not standing.is_doubtful
         suffix = PurePath(frame.name).suffix.lower() or ".raw"
-        file = self._patiently(lambda: self.record.write_frame(due.shot, frame.data, suffix))
+        file = self.patiently(lambda: self.record.write_frame(due.shot, frame.data, suffix))
         spans["write"] = (spans["decode"][1], self._now())
         taken = TakenShot(
             shot=due.shot.index,
@@ -235,7 +235,7 @@ class Filing:
             findings=tuple(FoundFault(kind=found.kind, message=found.message) for found in findings),
             accepted=not doubtful or (due.retakes >= RETAKES and not better),
         )
-        self._patiently(lambda: self.record.add(taken))
+        self.patiently(lambda: self.record.add(taken))
         if self.watch is not None and judgement is not None:
             self.watch.remember(view, judgement)
         return Filed(due, taken, findings)
@@ -267,7 +267,7 @@ class Filing:
                 )
         return raw
 
-    def _patiently(self, write: Callable[[], Written]) -> Written:
+    def patiently(self, write: Callable[[], Written]) -> Written:
         """Write; ask a disk that refuses again and again, as long as patience lasts."""
         tries_left = self.patience_s / DISK_PAUSE_S  # for ever, where patience is infinite
         while True:

@@ -55,8 +55,8 @@ class Gate:
         with self._changed:
             if not self._end or (abort and not self._abort):
                 self.reason = reason
+            self._abort = self._abort or abort  # first, so that no end is seen without it
             self._end = True
-            self._abort = self._abort or abort
             self._changed.notify_all()
 
     def skip(self, reason: str) -> None:

@@ -7,19 +7,24 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 from acquisition.conditions import Condition
 from acquisition.plan import Shot
 from acquisition.quality import LiveSnapshot, LiveStatistics, QualityWatch
 from acquisition.record import CaptureRecord
+from acquisition.session.choosing import Choosing
 from acquisition.session.course import Course
 from acquisition.session.filing import RETAKES, Filed, Filing, HeldUpError
 from acquisition.session.schedule import FOR_OPERATOR, Due, Schedule, setup_of
 from acquisition.session.states import Outcome, Phase
 from acquisition.session.taking import Taking
+from acquisition.session.ways import short_order
 from acquisition.taken import EventKind
 from stage.clock import Clock
 from stage.errors import DeviceError
+
+Answer = TypeVar("Answer")
 
 ATTEMPTS = 5
 PAUSE_S, LONGEST_PAUSE_S = 0.5, 4.0
@@ -54,6 +59,8 @@ class Loop:
         What is next, how it is taken, and what becomes of it.
     conditions, watch, attempts, clock, progress
         As in `acquisition.session.session.Session`.
+    choosing : Choosing, optional
+        Tells which lights come next, whenever nothing is due.
     """
 
     course: Course
@@ -66,12 +73,13 @@ class Loop:
     attempts: int
     clock: Clock
     progress: Callable[[float], None]
+    choosing: Choosing | None = None
     shot: Due | None = field(default=None, init=False)
     """The one that is being taken, or was last."""
 
     def __post_init__(self) -> None:
         self._counting = threading.Lock()
-        self._live = LiveStatistics(len(self.record.shots), self.record.run)
+        self._live = LiveStatistics(len(self.record.wanted), self.record.run)
         for line in self.record.lines:
             self._live.add(line)
         self._drift, self._drifting, self._drift_until = "", 0, -math.inf
@@ -112,21 +120,48 @@ class Loop:
             self._finish()
             self._file()
             self._review()
-            if not self.schedule.has_more:
+            if not self.schedule.has_more and not self._choose():
                 break
         self.filing.wait_for_all()
         self._file()
         if self.course.gate.wants_end:
+            self.course.require_going()
             return Outcome.STOPPED
         if lost := self.schedule.given_up:
             names = ", ".join(due.shot.name for due in lost[:3]) + (", ..." if len(lost) > 3 else "")
             raise DeviceError(
-                f"{len(lost)} of {len(self.record.shots)} shots failed: {names}; the last time: {self._last_error}"
+                f"{len(lost)} of {len(self.record.wanted)} shots failed: {names}; the last time: {self._last_error}"
             )
         self.progress(1.0)
         return Outcome.COMPLETED
 
+    def _choose(self) -> bool:
+        """Learn which lights come next, in the dark and at rest; False where nothing is to be learned any more."""
+        choosing, gate = self.choosing, self.course.gate
+        if choosing is None or choosing.is_over or self.schedule.given_up:
+            return False
+        choosing.begin()
+        decision = choosing.answer(lambda: gate.wants_end or gate.wants_pause)
+        if decision is None:
+            return True
+        lights = ", ".join(map(str, decision.candidates)) or "none"
+        self.course.say("chosen", f"next light: {lights}; {decision.reason}")
+        if not decision.candidates:
+            self.schedule.close()
+            return True
+        for light in short_order(self.taking.rig, decision.candidates, self.taking.places, self._here()):
+            self.schedule.add(shot for shot in self.record.missing if shot.candidates == (light,))
+        with self._counting:
+            self._live.total = len(self.record.wanted)
+        return True
+
+    def _here(self) -> tuple[float, ...]:
+        """Joint values, asked as patiently as a shot is taken."""
+        return self._patiently(self.taking.motion.positions)
+
     def _next(self) -> Due | None:
+        if self.choosing is not None and self.choosing.is_thinking:
+            return None  # what it thinks about stays as it is
         for shot, reason in self.course.gate.take_retakes():
             self.course.say("retake", reason, shot)
             self.schedule.again(Due(self.record.shots[shot]))
@@ -291,15 +326,18 @@ class Loop:
         return ""
 
     def _darken(self) -> None:
-        """Go dark, as patiently as a shot is taken."""
-        for attempt in range(1, self.attempts + 1):
+        """Go dark."""
+        self._patiently(self.taking.lamp.dark)
+
+    def _patiently(self, ask: Callable[[], Answer]) -> Answer:
+        """Ask a device for something, as often as a shot is tried."""
+        for attempt in range(1, self.attempts):
             try:
-                return self.taking.lamp.dark()
+                return ask()
             except DeviceError as error:
-                if attempt == self.attempts:
-                    raise
                 self.course.say("retry", str(error))
             self.clock.sleep(pause_s(attempt))
+        return ask()
 
     def _pause(self, kind: EventKind) -> None:
         if not self.course.to(Phase.PAUSED):

@@ -63,19 +63,26 @@ class Schedule:
         listed.
     reference_every : int or None
         Lit shots between two reference frames.
+    is_open : bool
+        Whether more shots of the object may come, by `add`. The references among `missing` are a supply then, of which
+        as many are taken as it takes: none is due at the end of what is known so far, and one after `close`.
     """
 
     missing: Iterable[Shot]
     places: Places = field(default_factory=dict)
     reference_every: int | None = None
+    is_open: bool = False
 
     def __post_init__(self) -> None:
+        self._has_supply = self.is_open
         rank = {place: i for i, place in enumerate(self.places)}
         self._first: deque[Due] = deque()
         self._later: deque[Due] = deque()
         """Those that failed, for the end of what stands on the stage."""
         self._given_up: list[Due] = []
-        self._setups: deque[deque[Shot]] = deque()
+        self._setups = deque(SETUPS)
+        """Those that are not done with, in turn."""
+        self._shots: dict[str, deque[Shot]] = {}
         self._references: dict[str, deque[Shot]] = {}
         self._since_reference: int | None = None
         shots = sorted(self.missing, key=lambda shot: (SETUPS.index(setup_of(shot)), shot.index))
@@ -84,8 +91,7 @@ class Schedule:
             self._references[setup] = deque(shot for shot in own if shot.kind == "reference")
             lit = [shot for shot in own if shot.kind not in ("reference", "dark")]
             lit.sort(key=lambda shot: rank.get(place_of(shot), len(rank)))
-            self._setups.append(deque([*(shot for shot in own if shot.kind == "dark"), *lit]))
-        self._current = SETUPS[0]
+            self._shots[setup] = deque([*(shot for shot in own if shot.kind == "dark"), *lit])
 
     @property
     def retakes(self) -> tuple[int, ...]:
@@ -102,8 +108,7 @@ class Schedule:
         if self._first:
             return self._first.popleft()
         while self._setups:
-            self._current = SETUPS[-len(self._setups)]
-            shots, references = self._setups[0], self._references[self._current]
+            shots, references = self._shots[self._setups[0]], self._references[self._setups[0]]
             if references and self._wants_reference(shots):
                 self._since_reference = 0
                 return Due(references.popleft())
@@ -113,6 +118,8 @@ class Schedule:
                 return Due(shots.popleft())
             if self._later:
                 return self._later.popleft()
+            if self.is_open and self._setups[0] == "object":
+                return None
             self._setups.popleft()
             self._since_reference = None
         # a failure may be learned of after all else was taken
@@ -121,6 +128,14 @@ class Schedule:
     def again(self, due: Due) -> None:
         """Have a shot taken again, next."""
         self._first.append(due)
+
+    def add(self, shots: Iterable[Shot]) -> None:
+        """Have more shots of the object taken, in this order, while it `is_open`."""
+        self._shots["object"].extend(shots)
+
+    def close(self) -> None:
+        """Say that no more shots will come."""
+        self.is_open = False
 
     def put_off(self, due: Due) -> None:
         """Leave a shot that has failed to the end of what stands on the stage; what fails then as well is given up."""
@@ -132,7 +147,8 @@ class Schedule:
     @property
     def has_more(self) -> bool:
         """Whether anything is due."""
-        return bool(self._first or self._later or any(self._setups) or any(self._references.values()))
+        references = self._wants_last() and any(self._references.values())
+        return bool(self._first or self._later or any(self._shots.values()) or references)
 
     @property
     def given_up(self) -> Sequence[Due]:
@@ -142,7 +158,11 @@ class Schedule:
     def _wants_reference(self, shots: deque[Shot]) -> bool:
         """Before the first lit shot, after every so many, and after the last."""
         if not shots:
-            return True
+            return self._wants_last()
         if shots[0].kind == "dark" or self.reference_every is None:
             return False
         return self._since_reference is None or self._since_reference >= self.reference_every
+
+    def _wants_last(self) -> bool:
+        """Whether references that are left are due after the last lit shot: one of a supply, all of those of a plan."""
+        return not self.is_open and (not self._has_supply or bool(self._since_reference))

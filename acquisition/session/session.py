@@ -20,6 +20,7 @@ from acquisition.check import Places
 from acquisition.conditions import Condition
 from acquisition.quality import QualityWatch
 from acquisition.record import CaptureRecord
+from acquisition.session.choosing import Chooser, Choosing
 from acquisition.session.course import Course, EndedError, Listener
 from acquisition.session.filing import Filing
 from acquisition.session.loop import ATTEMPTS, Loop
@@ -37,6 +38,7 @@ from stage.rig import Rig
 PATIENCE_S = 600.0
 """For a disk that refuses."""
 EMERGENCY_POLL_S = 0.1
+THINKING = "the next lights are being chosen"
 
 Progress = Callable[[float], None]
 
@@ -60,6 +62,10 @@ class Session:
         Asked before every shot; while one has a reason, the session is suspended and the lamp dark.
     watch : QualityWatch, optional
         Judges every frame.
+    chooser : Chooser, optional
+        Chooses lights as the session goes; the record is one with decisions then.
+    most : int, optional
+        Lights that a chooser gets at the most.
     opening : str
         Said at the start, such as why lights are lit together.
     attempts : int
@@ -92,6 +98,8 @@ class Session:
         places: Places | None = None,
         conditions: Sequence[Condition] = (),
         watch: QualityWatch | None = None,
+        chooser: Chooser | None = None,
+        most: int | None = None,
         opening: str = "",
         attempts: int = ATTEMPTS,
         corrections: Corrections | None = None,
@@ -109,12 +117,14 @@ class Session:
         self._lamp = lamp if isinstance(lamp, FlashGuard) else FlashGuard(lamp, self._clock, allowed=allowed)
         self._motion, self._camera = motion, camera
         self._places, self._conditions, self._watch = places or {}, conditions, watch
+        self._chooser, self._most = chooser, most
         self._opening, self._attempts, self._patience_s = opening, attempts, patience_s
         self._corrections = corrections or Corrections.none()
         self._progress, self._attended = progress, attended
         self._taken_before = len(record.taken)
         self._loop: Loop | None = None
         self._filing: Filing | None = None
+        self._choosing: Choosing | None = None
         self._runs_in: threading.Thread | None = None
         self._at_rest = threading.Event()
         self._at_rest.set()
@@ -132,13 +142,17 @@ class Session:
     def pause(self, reason: str) -> None:
         """Pause after the shot that is being taken: the lamp goes dark, and all stays where it is until `resume`."""
         self._course.pause(reason)
+        self._hurry()
 
     def resume(self) -> None:
         """Go on after a pause, or say that what the operator was asked for is done."""
         self._course.resume()
 
     def stop(self, reason: str) -> None:
-        """End after the shot that is being taken; does nothing where the session is not going on."""
+        """End after the shot that is being taken, or at once where the next lights are being chosen.
+
+        Does nothing where the session is not going on.
+        """
         self._end(reason, abort=False)
 
     def abort(self, reason: str) -> None:
@@ -179,18 +193,19 @@ class Session:
     def status(self) -> SessionStatus:
         """Where the session is now."""
         loop, elapsed_s = self._loop, self._course.elapsed_s()
-        total, taken = len(self._record.shots), len(self._record.taken)
+        total, taken = len(self._record.wanted), len(self._record.taken)
         done = taken - self._taken_before
         return SessionStatus(
             phase=self.phase.value,
             outcome=None if self.outcome is None else self.outcome.value,
-            reason=self.reason,
+            reason=self.reason or (THINKING if self._choosing is not None and self._choosing.is_thinking else ""),
             run=self._record.run,
             shots=total,
             taken=taken,
             shot=None if loop is None or loop.shot is None else loop.shot.shot.name,
             retakes=() if loop is None else loop.schedule.retakes,
             skipped=() if loop is None else loop.schedule.skipped,
+            chosen=None if (decisions := self._record.decisions) is None else len(decisions.chosen),
             elapsed_s=elapsed_s,
             remaining_s=(total - taken) * elapsed_s / done if done else None,
             live=None if loop is None else loop.live(),
@@ -216,8 +231,14 @@ class Session:
 
     def _end(self, reason: str, *, abort: bool) -> None:
         self._course.end(reason, abort=abort)
+        self._hurry()
+
+    def _hurry(self) -> None:
+        """Have the session, where it waits, see what is asked of it."""
         if self._filing is not None:
             self._filing.hurry()
+        if self._choosing is not None:
+            self._choosing.look_again()
 
     def _run(self, signals: Signals) -> Outcome:
         self._course.begin()
@@ -266,7 +287,7 @@ class Session:
             self._watch,
             course.begun_s,
             self._patience_s,
-            given_up=lambda: course.gate.wants_end or self._at_rest.is_set(),
+            given_up=self._is_given_up,
         )
         self._filing = filing
         taking = Taking(
@@ -282,9 +303,20 @@ class Session:
             wait_for_camera=filing.wait_for_camera,
         )
         every = None if plan.reference is None else plan.reference.every
-        due = self._record.due
-        schedule = Schedule(due, self._places, every)
-        todo = f"{len(due)} of {len(self._record.shots)} shots to take"
+        due, decisions = self._record.due, self._record.decisions
+        is_open = decisions is not None and not decisions.are_over
+        schedule = Schedule((*due, *self._record.spare_references), self._places, every, is_open)
+        todo = f"{len(due)} of {len(self._record.wanted)} shots to take"
+        if self._chooser is not None:
+            self._choosing = Choosing(
+                self._chooser,
+                self._record,
+                self._clock,
+                time=lambda: course.time().isoformat(),
+                write=filing.patiently,
+                require_wanted=self._require_wanted,
+                most=self._most,
+            )
         course.say("started", f"{todo}; {self._opening}" if self._opening else todo)
         return Loop(
             course,
@@ -297,7 +329,17 @@ class Session:
             self._attempts,
             self._clock,
             self._progress,
+            self._choosing,
         )
+
+    def _is_given_up(self) -> bool:
+        """Whether nothing is to be waited for any more."""
+        return self._course.gate.wants_end or self._at_rest.is_set()
+
+    def _require_wanted(self) -> None:
+        """Raise `EndedError` where nobody waits for the next lights any more."""
+        if self._is_given_up():
+            raise EndedError
 
     def _make_safe_side_by_side(self) -> list[DeviceError]:
         """Make each device safe in a thread of its own, so that none waits for another."""
@@ -315,14 +357,21 @@ class Session:
         return errors
 
     def _file_the_rest(self) -> None:
-        """File what was photographed, now that the stage is dark; what does not come is missing, and no error."""
+        """File what was photographed, now that the stage is dark; what does not come is missing, and no error.
+
+        A thought that is no longer wanted ends as well.
+        """
         if self._filing is not None:
             self._filing.close()
+        if self._choosing is not None:
+            self._choosing.close()
 
     def _close(self, stack: ExitStack, trouble: BaseException | None) -> None:
         outcome = self.outcome or Outcome.FAILED
         why = f": {self.reason}" if self.reason else ""
-        self._course.say("ended", f"{outcome.value}, {len(self._record.taken)} of {len(self._record.shots)} shots{why}")
+        self._course.say(
+            "ended", f"{outcome.value}, {len(self._record.taken)} of {len(self._record.wanted)} shots{why}"
+        )
         stack.close()
         if not self._record.is_ours:
             return

@@ -48,15 +48,18 @@ class SessionStatus(PlanPart):
     Attributes
     ----------
     phase, outcome, reason : str
-        Where it is, how it ended (None until then), and why it is paused, suspended, stopping or ended.
+        Where it is, how it ended (None until then), and why it is paused, suspended, stopping or ended; while it runs,
+        what is waited for.
     run : int
         Number of the run into this folder, counted from 1.
     shots, taken : int
-        Exposures of the plan, and those recorded.
+        Exposures of the plan, and those recorded; where lights are chosen as the session goes, those wanted so far.
     shot : str or None
         Name of the shot that is being taken.
     retakes, skipped : tuple of int
         Shots that wait to be taken again, and those that failed so far.
+    chosen : int or None
+        Lights that were chosen so far; None where the plan's are all taken.
     elapsed_s, remaining_s : float
         Seconds since the run began, and those still to go at the pace so far (None until the first frame).
     live : LiveSnapshot or None
@@ -72,6 +75,7 @@ class SessionStatus(PlanPart):
     shot: str | None
     retakes: tuple[int, ...]
     skipped: tuple[int, ...]
+    chosen: int | None = None
     elapsed_s: float
     remaining_s: float | None
     live: LiveSnapshot | None

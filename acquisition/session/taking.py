@@ -11,6 +11,7 @@ import numpy as np
 from acquisition.check import Places, lamp_levels, reach
 from acquisition.session.filing import Photograph
 from acquisition.session.schedule import Due, place_of
+from acquisition.session.ways import clear_way
 from acquisition.taken import Span, Stage
 from stage.clock import Clock
 from stage.devices import Arrival, AxisGroup, FrameCamera
@@ -67,9 +68,10 @@ class Taking:
         levels = (0.0,) * self.lamp.emitters
         if shot.lights:
             commanded = self._target(due)
-            self._require_clear_way(commanded)
-            self.require_going()
-            arrival = self.motion.move_to(commanded)
+            for stop in self._way_to(commanded):
+                self.require_going()
+                arrival = self.motion.move_to(stop)
+            assert arrival is not None
             moved = self._now()
             spans["move"] = (begin, moved - arrival.settle_s)
             spans["settle"] = (moved - arrival.settle_s, moved)
@@ -103,10 +105,19 @@ class Taking:
         planned = self.places.get(place_of(due.shot))
         return reach(self.rig, due.shot, self.motion.positions()) if planned is None else planned
 
-    def _require_clear_way(self, target: tuple[float, ...]) -> None:
-        """Refuse a move that was in no plan, after a retry or for a reference, where something is in its way."""
-        if self.rig.keep_out and (reason := self.rig.moving_obstruction(self.motion.positions(), target)) is not None:
+    def _way_to(self, target: tuple[float, ...]) -> list[tuple[float, ...]]:
+        """Where to go one after the other; round what is in the way of a move that was in no plan.
+
+        Such moves come after a retry, for a reference and to lights that are chosen as the session goes.
+        """
+        if not self.rig.keep_out:
+            return [target]
+        here = self.motion.positions()
+        way = clear_way(self.rig, self.places, here, target)
+        if way is None:
+            reason = self.rig.moving_obstruction(here, target)
             raise DeviceError(f"{self.motion.name}: the way to the next light is barred, {reason}")
+        return way
 
     def _motion_meanwhile(self, arrival: Arrival | None) -> DeviceError | None:
         """What is wrong with a photograph during which the light moved."""

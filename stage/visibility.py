@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from functools import partial
+
 import numpy as np
 import trimesh
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from stage.camera import Camera
+from stage.embree import PACKET, Frame, Scene, first_hits, is_blocked, new_packet, put_ray, trace_packet
 from stage.errors import InputError
 from stage.lights import Light
 from stage.threads import in_blocks
@@ -25,44 +28,6 @@ found within some 1e-6, so the offset is two orders beyond the errors, and far b
 """
 
 _RAYS_PER_BLOCK = 20_000
-
-
-class _Scene:
-    """A mesh in Embree, moved and scaled to the unit sphere so that single precision goes as far as it can."""
-
-    def __init__(self, vertices: Array, faces: NDArray[np.int32]) -> None:
-        low, high = vertices.min(0), vertices.max(0)
-        self.centre = (low + high) / 2
-        self.radius = float(np.linalg.norm(high - low)) / 2
-        if self.radius == 0:
-            raise InputError("mesh.vertices: all vertices are the same point")
-        self._embree = EmbreeScene(robust=True)
-        # the mesh object must outlive the scene that refers to it
-        self._mesh = TriangleMesh(self._embree, self.local(vertices), faces)
-        # the first query builds Embree's tree, which must happen before threads share the scene
-        self._embree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
-
-    def local(self, points: Array) -> NDArray[np.float32]:
-        return np.ascontiguousarray((points - self.centre) / self.radius, dtype=np.float32)
-
-    def cast(self, origins: Array, directions: Array, reach: float, query: str) -> NDArray[np.int32]:
-        """Triangle first met (INTERSECT), or 0 where anything is met (OCCLUDED), within `reach` directions; else -1.
-
-        `origins` is (n, 3) or one point (1, 3), `directions` (n, 3) in metres.
-        """
-        count = len(directions)
-        hits = np.empty(count, dtype=np.int32)
-        start = self.local(origins)
-        toward = np.ascontiguousarray(directions / self.radius, dtype=np.float32)
-
-        def work(first: int, last: int) -> None:
-            block = toward[first:last]
-            source = start[first:last] if len(start) == count else np.repeat(start, len(block), axis=0)
-            limit = np.full(len(block), reach, dtype=np.float32)
-            hits[first:last] = self._embree.run(source, block, dists=limit, query=query)
-
-        in_blocks(work, count, _RAYS_PER_BLOCK)
-        return hits
 
 
 class Occluder:
@@ -85,10 +50,10 @@ class Occluder:
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, *, offset: float | None = None) -> None:
-        self._scene = _Scene(*_checked(vertices, faces))
+        self._scene = Scene(*_checked(vertices, faces))
         if offset is not None and not (np.isfinite(offset) and offset >= 0):
             raise InputError(f"offset: expected metres, zero or more, got {offset}")
-        self.offset = RELATIVE_OFFSET * self._scene.radius if offset is None else float(offset)
+        self.offset = RELATIVE_OFFSET * self.frame.radius if offset is None else float(offset)
 
     def lit(self, points: ArrayLike, normals: ArrayLike, light: Light) -> Mask:
         """Say where a light reaches the surface: above its horizon, and nothing in between.
@@ -116,6 +81,11 @@ class Occluder:
         out[asked] = ~self.blocked(p[above], n[above], light)
         return out.reshape(lead)
 
+    @property
+    def frame(self) -> Frame:
+        """The mesh for kernels that trace their own rays."""
+        return self._scene.frame
+
     def blocked(self, points: ArrayLike, normals: ArrayLike, light: Light) -> Mask:
         """Say where the mesh stands in the light's way, for finite points whose horizon the light is above.
 
@@ -128,12 +98,15 @@ class Occluder:
         -------
         (n,) bool
         """
-        origins = np.asarray(points, dtype=float) + self.offset * np.asarray(normals, dtype=float)
-        if light.position is not None:
-            # the direction runs from the point to the light, so that the light is at distance 1
-            return self._scene.cast(origins, np.asarray(light.position) - origins, 1.0, "OCCLUDED") >= 0
-        away = np.broadcast_to(self._scene.radius * np.asarray(light.direction), origins.shape)
-        return self._scene.cast(origins, away, np.inf, "OCCLUDED") >= 0
+        p, n = (np.ascontiguousarray(a, dtype=float) for a in (points, normals))
+        where = np.array(light.direction if light.is_distant else light.position)
+        out = np.empty(len(p), dtype=bool)
+
+        def work(first: int, last: int) -> None:
+            _blocked_kernel(first, last, p, n, where, light.is_distant, self.offset, self.frame, out)
+
+        in_blocks(work, len(p), _RAYS_PER_BLOCK)
+        return out
 
 
 def render_geometry(
@@ -167,12 +140,31 @@ def render_geometry(
     InputError
         On an unusable mesh (see `Occluder`), or when the camera does not see it.
     """
-    corners, triangles = _checked(vertices, faces)
-    rays = camera.rays().reshape(-1, 3)
-    hit = _Scene(corners, triangles).cast(camera.centre[None], rays, np.inf, "INTERSECT")
-    seen = np.flatnonzero(hit >= 0)
-    if seen.size == 0:
+    depth, normals, mask = next(render_geometries(vertices, faces, [camera], crease_rad=crease_rad))
+    if not mask.any():
         raise InputError("mesh: the camera does not see it")
+    return depth, normals, mask
+
+
+def render_geometries(
+    vertices: ArrayLike, faces: ArrayLike, cameras: Iterable[Camera], *, crease_rad: float = np.pi / 6
+) -> Iterator[tuple[Array, Array, Mask]]:
+    """`render_geometry` for one camera after the other; one that sees nothing of the mesh has an empty mask."""
+    corners, triangles = _checked(vertices, faces)
+    scene = Scene(corners, triangles)
+    at_corners = _corner_normals(corners, triangles, crease_rad) if crease_rad > 0 else None
+    for camera in cameras:
+        yield _render(scene, corners, triangles, at_corners, camera)
+
+
+def _render(
+    scene: Scene, corners: Array, triangles: NDArray[np.int32], at_corners: Array | None, camera: Camera
+) -> tuple[Array, Array, Mask]:
+    rays = camera.rays().reshape(-1, 3)
+    hit = np.empty(len(rays), dtype=np.int32)
+    work = partial(first_hits, scene.frame, camera.centre, rays, hit)
+    in_blocks(work, len(rays), _RAYS_PER_BLOCK)
+    seen = np.flatnonzero(hit >= 0)
     face, ray = hit[seen], rays[seen]
     a, b, c = (corners[triangles[face, k]] for k in range(3))
     # which triangle is hit comes from Embree; where, in double precision from the triangle's plane
@@ -183,13 +175,13 @@ def render_geometry(
     z = np.einsum("ni,ni->n", facet, a - camera.centre) / np.where(edge_on, 1.0, facing)
     z = np.where(edge_on, far.mean(0), z).clip(far.min(0), far.max(0))
     normal = _unit(facet)
-    if crease_rad > 0:
+    if at_corners is not None:
         place = camera.centre + z[:, None] * ray
         size = np.einsum("ni,ni->n", facet, facet)
         second = np.einsum("ni,ni->n", np.cross(place - a, c - a), facet)
         third = np.einsum("ni,ni->n", np.cross(b - a, place - a), facet)
         weights = np.stack([size - second - third, second, third], -1).clip(0, None)
-        smooth = _unit(np.einsum("nk,nki->ni", weights, _corner_normals(corners, triangles, crease_rad)[face]))
+        smooth = _unit(np.einsum("nk,nki->ni", weights, at_corners[face]))
         # at the contour an interpolated normal may turn away from the camera, which the facet itself does not
         agrees = np.einsum("ni,ni->n", smooth, ray) * facing > 0
         normal = np.where(agrees[:, None], smooth, normal)
@@ -200,6 +192,36 @@ def render_geometry(
     depth[seen], normals[seen], mask[seen] = z, normal, True
     shape = (camera.height, camera.width)
     return depth.reshape(shape), normals.reshape(*shape, 3), mask.reshape(shape)
+
+
+@njit(cache=True, nogil=True)
+def _blocked_kernel(
+    start: int,
+    stop: int,
+    points: Array,
+    normals: Array,
+    light: Array,
+    distant: bool,
+    offset: float,
+    frame: Frame,
+    blocked: Mask,
+) -> None:
+    packet = new_packet()
+    lx, ly, lz = light
+    for first in range(start, stop, PACKET):
+        count = min(PACKET, stop - first)
+        for slot in range(count):
+            i = first + slot
+            x, y, z = (
+                points[i, 0] + offset * normals[i, 0],
+                points[i, 1] + offset * normals[i, 1],
+                points[i, 2] + offset * normals[i, 2],
+            )
+            toward = (lx, ly, lz) if distant else (lx - x, ly - y, lz - z)
+            put_ray(packet, slot, frame, (x, y, z), toward, distant)
+        trace_packet(packet, count, frame)
+        for slot in range(count):
+            blocked[first + slot] = is_blocked(packet, slot)
 
 
 def _corner_normals(vertices: Array, faces: NDArray[np.int32], crease_rad: float) -> Array:
@@ -230,6 +252,8 @@ def _checked(vertices: ArrayLike, faces: ArrayLike) -> tuple[Array, NDArray[np.i
     triangles = np.asarray(faces)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise InputError(f"mesh.vertices: expected n x 3 finite numbers, got {points.shape}")
+    if len(points) and (points == points[0]).all():
+        raise InputError("mesh.vertices: all vertices are the same point")
     if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) == 0:
         raise InputError(f"mesh.faces: expected at least one triangle of three indices, got {triangles.shape}")
     if not np.issubdtype(triangles.dtype, np.integer) or triangles.min() < 0 or triangles.max() >= len(points):

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from stage.camera import Camera
 from stage.errors import InputError
 from stage.lights import Light, dome
-from stage.measurability import Measurability, PixelClass, classify, half_angle, measurability
+from stage.measurability import (
+    HalfAngleCriterion,
+    Measurability,
+    PixelClass,
+    classify,
+    half_angle,
+    measurability,
+)
 from stage.surface import triangulate_depth
 from stage.visibility import Occluder
 from tests.stage import scenes
@@ -52,7 +59,7 @@ def test_half_angle_is_at_most_45_degrees_and_half_the_slant(normal: Array, view
 def test_a_point_seen_within_30_degrees_has_no_diffuse_only_light() -> None:
     lights = np.array([light.incident([0, 0, 0])[0] for light in dome(48, np.radians(np.arange(0.5, 90, 1.5)), 1.0)])
     for slant, some in ((0, False), (15, False), (29.9, False), (32, True), (60, True)):
-        kinds = classify([0, 0, 1], tilted(slant), lights, True)
+        kinds = classify([0, 0, 1], tilted(slant), lights, True, HalfAngleCriterion())
         assert (kinds == PixelClass.DIFFUSE).any() == some
         assert (kinds == PixelClass.SPECULAR).any()
 
@@ -71,16 +78,17 @@ def test_a_point_seen_within_30_degrees_has_no_diffuse_only_light() -> None:
 )
 def test_classes_by_the_published_thresholds(light_deg: float, kind: PixelClass) -> None:
     # seen at 70 degrees: the half angle is (70 + light) / 2
-    assert classify([0, 0, 1], tilted(70), tilted(light_deg), True) == kind
-    assert classify([0, 0, 1], tilted(70), tilted(light_deg), False) == PixelClass.NONE
-    assert classify([0, 0, 1], tilted(110), tilted(light_deg), True) == PixelClass.NONE
+    published = HalfAngleCriterion()
+    assert classify([0, 0, 1], tilted(70), tilted(light_deg), True, published) == kind
+    assert classify([0, 0, 1], tilted(70), tilted(light_deg), False, published) == PixelClass.NONE
+    assert classify([0, 0, 1], tilted(110), tilted(light_deg), True, published) == PixelClass.NONE
 
 
 def test_thresholds_are_parameters() -> None:
     given_ = [0, 0, 1], tilted(0), tilted(60), True
-    assert classify(*given_) == PixelClass.NONE
-    assert classify(*given_, diffuse_above_rad=np.radians(29)) == PixelClass.DIFFUSE
-    assert classify(*given_, specular_below_rad=np.radians(31)) == PixelClass.SPECULAR
+    assert classify(*given_, HalfAngleCriterion()) == PixelClass.NONE
+    assert classify(*given_, HalfAngleCriterion(diffuse_above_rad=np.radians(29))) == PixelClass.DIFFUSE
+    assert classify(*given_, HalfAngleCriterion(specular_below_rad=np.radians(31))) == PixelClass.SPECULAR
 
 
 def scene_with_shadows() -> tuple[Array, Array, Array, NDArray[np.bool_], Occluder]:
@@ -107,7 +115,7 @@ def test_agrees_with_classes_pixel_by_pixel(lights: list[Light]) -> None:
     assert_array_equal(seen.specular, kinds == PixelClass.SPECULAR)
     assert seen.diffuse.any()
     assert seen.specular.any()
-    assert_allclose(shares, np.arange(1, 13) / 12)
+    assert_allclose(shares, [1 / 2, 1])
     unshadowed = measurability(points, normals, view, lights, mask=mask)
     assert (unshadowed.diffuse >= seen.diffuse).all()
     assert (unshadowed.specular >= seen.specular).all()
@@ -163,4 +171,4 @@ def test_bad_input_is_refused() -> None:
         Measurability.from_arrays(np.ones((2, 3)), np.ones((2, 4)))
     for above, below in ((np.radians(10), np.radians(20)), (2.0, 0.3), (1.0, 0.0), (np.nan, 0.3)):
         with pytest.raises(InputError, match="thresholds"):
-            classify([0, 0, 1], [0, 0, 1], [0, 0, 1], True, above, below)
+            HalfAngleCriterion(above, below)

@@ -126,3 +126,48 @@ def dome(count_azimuth: int, elevations_rad: ArrayLike, radius: float, *, centre
         )
         out += [Light(position=tuple(c + radius * p)) for p in ring]
     return out
+
+
+def grid(
+    columns: int,
+    rows: int,
+    pitch: float,
+    *,
+    centre: ArrayLike,
+    facing: ArrayLike = (0, 0, 0),
+    up: ArrayLike = (0, 0, 1),
+) -> list[Light]:
+    """Lights on a flat grid that faces the object, row by row from its lower left corner as the object sees it (M03).
+
+    Parameters
+    ----------
+    columns, rows : int
+        Lights across and up.
+    pitch : float
+        Metres between neighbours.
+    centre : (3,) float
+        Of the grid, metres, world.
+    facing : (3,) float
+        Point that the plane faces squarely.
+    up : (3,) float
+        Direction in the world that is up in the grid, as nearly as its plane allows.
+
+    Returns
+    -------
+    list of Light
+        ``columns * rows`` point lights of unit intensity.
+
+    Raises
+    ------
+    InputError
+        Where the grid lies at the point it should face, or `up` points there.
+    """
+    middle = np.asarray(centre, dtype=float)
+    toward = np.asarray(facing, dtype=float) - middle
+    right = np.cross(np.asarray(up, dtype=float), toward)
+    if np.linalg.norm(right) < 1e-9 * max(1.0, float(np.linalg.norm(toward))):
+        raise InputError("grid: has no up: its centre must lie off the point it faces, and not above or below it")
+    right /= np.linalg.norm(right)
+    above = np.cross(toward, right) / np.linalg.norm(toward)
+    across, high = (pitch * (np.arange(count) - (count - 1) / 2) for count in (columns, rows))
+    return [Light(position=tuple(middle + x * right + y * above)) for y in high for x in across]

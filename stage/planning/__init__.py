@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from stage.errors import InputError
 from stage.planning.greedy import plan_greedy
+from stage.planning.information import plan_information
 from stage.planning.optimal import plan_optimal
 from stage.planning.simple import plan_farthest, plan_random
 from stage.planning.static import plan_static
@@ -17,6 +18,7 @@ METHODS: dict[str, Callable[[PlanningTask], LightPlan]] = {
     "static": plan_static,
     "greedy": plan_greedy,
     "optimal": plan_optimal,
+    "information": plan_information,
     "farthest": plan_farthest,
     "random": plan_random,
 }

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numba import njit
 
 from stage.errors import InputError
 from stage.measurability import Measurability
-
-Bits = NDArray[np.uint8]
-Counts = NDArray[np.int64]
+from stage.planning.apart import sets_apart
+from stage.planning.bits import Integers, Words, as_words, contains, light_at, lowest, votes, word_of
+from stage.planning.demands import Demands, common
 
 DIFFUSE_NEED, SPECULAR_NEED = 1, 2
 """Views that each point needs: one unknown from the first kind, two from the second (M12)."""
-
-_ROWS_PER_BLOCK = 1 << 16
 
 
 class Covered(NamedTuple):
@@ -29,54 +29,78 @@ class Covered(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CoverProblem:
-    """Pixels merged by equal measurability.
+    """Pixels merged by equal measurability, for each component by itself.
 
     Attributes
     ----------
     lights, pixels : int
         Candidates, and object pixels, measurable or not.
-    diffuse, specular : (groups, ceil(lights / 8)) uint8
-        Lights that meet either need of a group's pixels, packed bits. Pixels that fewer than two lights show strongly
-        specular can never meet that need; their specular bits are cleared.
-    weight : (groups,) int
-        Pixels per group.
+    diffuse, specular : Demands
+        What the pixels want of either component. Pixels that all candidates together cannot satisfy, such as those that
+        fewer than two lights show strongly specular, want nothing.
     specular_total : (lights,) int
         Pixels that each light shows strongly specular, S_p of the paper, the hopeless ones included.
     limit : Covered
         What all candidates together reach.
+    begun_s : float
+        `time.monotonic` when work on the problem began: a plan's time limit counts from there.
     """
 
     lights: int
     pixels: int
-    diffuse: Bits
-    specular: Bits
-    weight: Counts
-    specular_total: Counts
+    diffuse: Demands
+    specular: Demands
+    specular_total: Integers
     limit: Covered
+    begun_s: float = field(default_factory=time.monotonic)
 
     @classmethod
-    def from_measurability(cls, measurable: Measurability) -> CoverProblem:
-        """Merge the pixels; raises `InputError` when no candidate measures anything."""
-        everyone = np.ones(measurable.pixels, dtype=np.int64)
-        specular_total = votes(measurable.specular_bits, everyone, measurable.lights)
-        hopeless = np.bitwise_count(measurable.specular_bits).sum(1) < SPECULAR_NEED
-        specular = np.where(hopeless[:, None], np.uint8(0), measurable.specular_bits)
-        both = np.concatenate([measurable.diffuse_bits, specular], 1)
-        rows, weight = merge_rows(both[both.any(1)])
-        if len(rows) == 0:
+    def from_measurability(cls, measurable: Measurability, apart_rad: float | None = None) -> CoverProblem:
+        """Merge the pixels; raises `InputError` when no candidate measures anything.
+
+        Parameters
+        ----------
+        measurable : Measurability
+            With `half_angle_steps` where `apart_rad` is given.
+        apart_rad : float, optional
+            Least difference of a pixel's two specular half angles, radians (M20).
+        """
+        begun_s = time.monotonic()
+        lights = measurable.lights
+        diffuse, specular = as_words(measurable.diffuse_bits), as_words(measurable.specular_bits)
+        total = votes(specular, np.ones(len(specular), dtype=np.int64), lights)
+        shown = Demands.merged(lights, DIFFUSE_NEED, diffuse[diffuse.any(1)])
+        if apart_rad is None:
+            pairs = Demands.merged(lights, SPECULAR_NEED, specular[np.bitwise_count(specular).sum(1) >= SPECULAR_NEED])
+        else:
+            sets, start = sets_apart(measurable, apart_rad)
+            wanting = np.flatnonzero(np.diff(start))
+            pairs = Demands.merged(lights, 1, sets, np.concatenate([start[wanting], start[-1:]]))
+        if len(shown) + len(pairs) == 0:
             raise InputError(
-                f"surface: none of the {measurable.lights} candidate lights shows any object pixel diffuse-only once "
+                f"surface: none of the {lights} candidate lights shows any object pixel diffuse-only once "
                 "or strongly specular twice, so there is nothing to plan for"
             )
-        split = measurable.diffuse_bits.shape[1]
-        d, s = np.ascontiguousarray(rows[:, :split]), np.ascontiguousarray(rows[:, split:])
-        limit = Covered(int(weight[d.any(1)].sum()), int(weight[s.any(1)].sum()))
-        return cls(measurable.lights, measurable.pixels, d, s, weight, specular_total, limit)
+        limit = Covered(shown.pixels, pairs.pixels)
+        return cls(lights, measurable.pixels, shown, pairs, total, limit, begun_s)
+
+    @property
+    def components(self) -> tuple[Demands, Demands]:
+        """Both components, in the order of `Covered`."""
+        return self.diffuse, self.specular
 
     def wanted(self, target: float) -> Covered:
         """Fewest pixels per component that make up the share `target` of the limit (M15)."""
         # the allowance keeps 0.8 * 10 from asking for 9 pixels
         return Covered(*(int(np.ceil(target * part * (1 - 1e-12))) for part in self.limit))
+
+    def covered(self, chosen: Sequence[int]) -> Covered:
+        """Pixels that a choice covers."""
+        return Covered(*(part.covered(chosen) for part in self.components))
+
+    def reaches(self, chosen: Sequence[int], wanted: Covered) -> bool:
+        """Whether a choice covers so many pixels of both components."""
+        return all(part.covered(chosen) >= want for part, want in zip(self.components, wanted, strict=True))
 
 
 class Tally:
@@ -86,36 +110,40 @@ class Tally:
     ----------
     chosen : list of int
         In the order of choice.
-    covered : Covered
-        Pixels whose needs are met.
     curve : list of (int, float, float)
         See `LightPlan`.
-    diffuse_gain, specular_gain : (lights,) int
-        Pixels to which each candidate would give a view that they still need. A chosen light has no gain.
     """
 
     def __init__(self, problem: CoverProblem) -> None:
         self.problem = problem
         self.chosen: list[int] = []
-        self.covered = Covered(0, 0)
         self.curve: list[tuple[int, float, float]] = []
-        self.diffuse_gain = votes(problem.diffuse, problem.weight, problem.lights)
-        self.specular_gain = votes(problem.specular, problem.weight, problem.lights)
-        self._diffuse_seen = np.zeros(len(problem.weight), dtype=np.uint8)
-        self._specular_seen = np.zeros(len(problem.weight), dtype=np.uint8)
+        self._parts = [_Part(part) for part in problem.components]
+
+    @property
+    def covered(self) -> Covered:
+        """Pixels whose needs are met."""
+        return Covered(*(part.covered for part in self._parts))
+
+    @property
+    def diffuse_gain(self) -> Integers:
+        """Pixels to which each candidate would give a diffuse-only view that they still need: (lights,) int."""
+        return self._parts[0].gain
+
+    @property
+    def specular_gain(self) -> Integers:
+        """The same for strongly specular views; where these must lie apart, such as lie apart from one they have."""
+        return self._parts[1].gain
 
     def add(self, light: int) -> None:
         """Choose one more light."""
-        p = self.problem
+        for part in self._parts:
+            part.add(light, self.chosen)
         self.chosen.append(light)
-        self.diffuse_gain -= self._look(p.diffuse, self._diffuse_seen, light, DIFFUSE_NEED)
-        self.specular_gain -= self._look(p.specular, self._specular_seen, light, SPECULAR_NEED)
-        self.diffuse_gain[light] = self.specular_gain[light] = 0
-        met = self._diffuse_seen >= DIFFUSE_NEED, self._specular_seen >= SPECULAR_NEED
-        self.covered = Covered(*(int(p.weight[m].sum()) for m in met))
-        self.curve.append((len(self.chosen), self.covered.diffuse / p.pixels, self.covered.specular / p.pixels))
+        pixels, covered = self.problem.pixels, self.covered
+        self.curve.append((len(self.chosen), covered.diffuse / pixels, covered.specular / pixels))
 
-    def best(self, score: Counts) -> int:
+    def best(self, score: Integers) -> int:
         """Candidate of the highest score that is not chosen yet; the lowest index among equals."""
         free = score.astype(float)
         free[self.chosen] = -np.inf
@@ -125,37 +153,69 @@ class Tally:
         """Whether both components are where they should be."""
         return self.covered.diffuse >= wanted.diffuse and self.covered.specular >= wanted.specular
 
-    def _look(self, bits: Bits, seen: Bits, light: int, need: int) -> Counts:
-        """Count a light's views in `seen`; returns what each candidate no longer gains where the need is now met."""
-        shown = np.flatnonzero(bits[:, light // 8] & np.uint8(128 >> light % 8))
-        met = shown[seen[shown] == need - 1]
-        seen[shown] += seen[shown] < need
-        return votes(bits[met], self.problem.weight[met], self.problem.lights)
+
+class _Part:
+    """One component of a tally."""
+
+    def __init__(self, demands: Demands) -> None:
+        self.demands = demands
+        self.covered = 0
+        self._gain = np.zeros(64 * demands.sets.shape[1], dtype=np.int64)
+        self._gain[: demands.lights] = demands.views_by_light()
+
+    @property
+    def gain(self) -> Integers:
+        return self._gain[: self.demands.lights]
+
+    def add(self, light: int, chosen: Sequence[int]) -> None:
+        d = self.demands
+        words = d.sets.shape[1]
+        before, after = word_of(chosen, words), word_of([*chosen, light], words)
+        self._gain = self._gain.copy()
+        self.covered += _look(d.sets, d.start, d.weight, d.need, light, before, after, self._gain)
 
 
-def votes(bits: Bits, weight: Counts, lights: int) -> Counts:
-    """Total weight of the rows in which each light's bit is set: (lights,) int."""
-    total = np.zeros(lights)
-    for start in range(0, len(bits), _ROWS_PER_BLOCK):
-        block = slice(start, start + _ROWS_PER_BLOCK)
-        # exact in double precision: no image has 2**53 pixels
-        total += weight[block].astype(float) @ np.unpackbits(bits[block], axis=1, count=lights)
-    return np.rint(total).astype(np.int64)
+@njit(cache=True, nogil=True)
+def _count(lights: Words, weight: int, gain: Integers) -> None:
+    for k in range(len(lights)):
+        word = lights[k]
+        while word:
+            gain[light_at(k, lowest(word))] += weight
+            word &= word - np.uint64(1)
 
 
-def merge_rows(rows: Bits, weight: Counts | None = None) -> tuple[Bits, Counts]:
-    """Distinct rows and the total weight of each (1 per row by default), the heaviest first."""
-    padded = np.zeros((len(rows), -(-rows.shape[1] // 8) * 8), dtype=np.uint8)
-    padded[:, : rows.shape[1]] = rows
-    words = padded.view(np.uint64)
-    order = np.lexsort(words.T)
-    words = words[order]
-    first = np.ones(len(rows), dtype=bool)
-    first[1:] = (words[1:] != words[:-1]).any(1)
-    starts = np.flatnonzero(first)
-    if len(starts) == 0:
-        return rows, np.zeros(0, dtype=np.int64)
-    each = np.ones(len(rows), dtype=np.int64) if weight is None else weight[order]
-    total = np.add.reduceat(each, starts)
-    rank = np.argsort(-total, kind="stable")
-    return rows[order[starts[rank]]], total[rank]
+@njit(cache=True, nogil=True)
+def _look(
+    sets: Words,
+    start: Integers,
+    weight: Integers,
+    need: int,
+    light: int,
+    before: Words,
+    after: Words,
+    gain: Integers,
+) -> int:
+    """Take off `gain` what is needed no more after one more light; returns the pixels that are covered by it."""
+    words = sets.shape[1]
+    old, new = np.zeros(words, dtype=np.uint64), np.zeros(words, dtype=np.uint64)
+    covered = 0
+    for g in range(len(weight)):
+        touched = False
+        for i in range(start[g], start[g + 1]):
+            touched |= contains(sets[i], light)
+        if not touched:
+            continue
+        old[:] = 0
+        new[:] = 0
+        for i in range(start[g], start[g + 1]):
+            if common(sets[i], before) < need:
+                old |= sets[i]
+                if common(sets[i], after) < need:
+                    new |= sets[i]
+        if not old.any():
+            continue
+        if not new.any():
+            covered += weight[g]
+        _count(old & ~before, -weight[g], gain)
+        _count(new & ~after, weight[g], gain)
+    return covered

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from stage.planning.cover import CoverProblem, Tally
 from stage.planning.outcome import goal, is_complete, outcome, problem_of
+from stage.planning.saturation import saturated, stops_saturated
 from stage.planning.task import LightPlan, PlanningTask
 
 
@@ -12,12 +15,15 @@ def plan_greedy(task: PlanningTask) -> LightPlan:
 
     A view counts only for a pixel that still needs it: the first diffuse-only one, the first two strongly specular
     ones, and of these only on pixels that two candidates can show so (M12). A component that has reached its target is
-    no longer served. Among equals the lowest index is taken.
+    no longer served. Among equals the lowest index is taken. By the published rule (``saturation``) both are served to
+    their limits, and the choice is then cut where `stage.planning.saturation` says.
 
     Usually this needs fewer lights than `plan_static`, which looks at the same two numbers without asking what is
     covered already; it is no theorem, and both are offered.
     """
     problem = problem_of(task, "greedy")
+    if stops_saturated(task):
+        return saturated("greedy", task, choose_greedily(replace(task, target=1.0), problem))
     return outcome("greedy", task, choose_greedily(task, problem))
 
 

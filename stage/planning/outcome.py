@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 
 from stage.errors import InputError
@@ -9,12 +10,15 @@ from stage.planning.cover import Covered, CoverProblem, Tally
 from stage.planning.covering import lower_bound
 from stage.planning.task import LightPlan, PlanningTask
 
+ASKED = "the number asked for"
+"""What bounds the number of lights where nothing is known of the surface."""
+
 
 def problem_of(task: PlanningTask, method: str) -> CoverProblem:
     """Covering problem of a task; raises `InputError` where the method needs a surface and none is known."""
     if task.measurable is None:
         raise InputError(f"surface: method '{method}' plans for a surface, and none is given")
-    return CoverProblem.from_measurability(task.measurable)
+    return CoverProblem.from_measurability(task.measurable, task.apart_rad)
 
 
 def goal(task: PlanningTask, problem: CoverProblem) -> Covered:
@@ -50,7 +54,7 @@ def outcome(method: str, task: PlanningTask, tally: Tally, bound: tuple[int, str
     wanted = p.wanted(task.target)
     # a plan of asked length is compared with the fewest lights for what it shows; it may show less than was wanted
     matched = wanted if task.count is None else tally.covered
-    fewest, how = bound or lower_bound(p, matched, task.time_limit_s)
+    fewest, how = bound or lower_bound(p, matched, p.begun_s + task.time_limit_s - time.monotonic())
     coverage: dict[str, float | None] = {}
     reached: dict[str, int | None] = {}
     for k, name in enumerate(("diffuse", "specular")):
@@ -68,7 +72,7 @@ def blind_outcome(method: str, lights: list[int]) -> LightPlan:
         method,
         lights,
         len(lights),
-        "the number asked for",
+        ASKED,
         dict.fromkeys(parts),
         [],
         {"diffuse": None, "specular": None},

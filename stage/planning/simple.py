@@ -40,7 +40,8 @@ def plan_random(task: PlanningTask) -> LightPlan:
 
 def _in_order(method: str, task: PlanningTask, order: NDArray[np.int64]) -> LightPlan:
     if task.measurable is not None:
-        return outcome(method, task, follow(task, CoverProblem.from_measurability(task.measurable), order.tolist()))
+        problem = CoverProblem.from_measurability(task.measurable, task.apart_rad)
+        return outcome(method, task, follow(task, problem, order.tolist()))
     if task.count is None:
         raise InputError(f"count: method '{method}' without a surface needs the number of lights")
     return blind_outcome(method, order[: task.count].tolist())

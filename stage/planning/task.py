@@ -3,13 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stage.errors import InputError
+from stage.expected_reflectance import ExpectedReflectance
 from stage.lights import Light, Triple
 from stage.measurability import Measurability
+
+Array = NDArray[np.float64]
+Stop = Literal["target", "saturation"]
+Aim = Literal["relighting", "a-optimal", "d-optimal"]
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedSurface:
+    """The object's pixels that lights are judged by.
+
+    Attributes
+    ----------
+    normals, view : (P, 3) float
+        Unit, world; `view` points to the camera.
+    points : (P, 3) float or None
+        World, metres; None where only normals are known.
+    lit : (P, ceil(L / 8)) uint8 or None
+        Which of L candidates reach a pixel: above its horizon and not in cast shadow; bits as in `Measurability`. None
+        where nothing is known of shadows.
+    """
+
+    normals: Array
+    view: Array
+    points: Array | None = None
+    lit: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +61,19 @@ class PlanningTask:
         For methods that search, and for the search of a lower bound.
     centre : (3,) float
         Point that the directions of near candidates are seen from, world, metres.
+    stop : str
+        When `static` and `greedy` end: ``target``, or ``saturation``, the published rule (M15): at the target, and once
+        specular coverage does not grow any more.
+    apart_rad : float or None
+        The two strongly specular views of a pixel must differ by this half angle at least, so that roughness can be
+        solved for (M20); needs `Measurability.half_angle_steps`.
+    surface : PlannedSurface or None
+        For ``information``, which looks at normals and not at coverage alone.
+    expected : ExpectedReflectance
+        What the object is expected to reflect like.
+    aim : str
+        What ``information`` makes small: the expected error of ``relighting``, or trace (``a-optimal``) or determinant
+        (``d-optimal``) of the parameters' covariance.
     """
 
     lights: Sequence[Light]
@@ -42,6 +83,11 @@ class PlanningTask:
     seed: int = 0
     time_limit_s: float = 10.0
     centre: Triple = (0.0, 0.0, 0.0)
+    stop: Stop = "target"
+    apart_rad: float | None = None
+    surface: PlannedSurface | None = None
+    expected: ExpectedReflectance = field(default_factory=ExpectedReflectance)
+    aim: Aim = "relighting"
 
     def __post_init__(self) -> None:
         if not self.lights:
@@ -83,6 +129,10 @@ class LightPlan:
     reached : dict
         ``diffuse`` and ``specular``: how many of `lights` it took to reach the target (M16's figures in brackets);
         None where it is not reached.
+    warnings : list of str
+        Sentences for the person who plans: what cannot be measured, and what the plan may be wrong about.
+    figures : dict
+        Numbers of the method's own, such as the expected error of relighting.
     """
 
     method: str
@@ -92,6 +142,13 @@ class LightPlan:
     coverage: dict[str, float | None]
     curve: list[tuple[int, float, float]]
     reached: dict[str, int | None]
+    warnings: list[str] = field(default_factory=list)
+    figures: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def gap(self) -> int:
+        """Lights beyond the proved lower bound."""
+        return self.count - self.lower_bound
 
     @property
     def count(self) -> int:
@@ -114,7 +171,10 @@ class LightPlan:
             "count": self.count,
             "lower_bound": self.lower_bound,
             "bound_by": self.bound_by,
+            "gap": self.gap,
             "coverage": self.coverage,
             "reached": self.reached,
             "curve": [list(step) for step in self.curve],
+            "warnings": self.warnings,
+            "figures": self.figures,
         }

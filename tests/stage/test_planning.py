@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from stage.errors import InputError
 from stage.lights import Light, dome
-from stage.measurability import Measurability, measurability
+from stage.measurability import HalfAngleCriterion, Measurability, measurability
 from stage.planning import METHODS, LightPlan, PlanningTask, plan
-from stage.planning.cover import Covered, CoverProblem, merge_rows, votes
+from stage.planning.bits import as_words, merge_rows, votes
+from stage.planning.cover import Covered, CoverProblem
 from stage.planning.covering import fewest_lights, lower_bound
 
 Mask = NDArray[np.bool_]
@@ -228,13 +229,14 @@ def test_order_and_repetition_of_pixels_change_nothing(cover: tuple[Mask, Mask],
 def test_merged_rows_and_votes(lights: int, rows: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     table_ = rng.random((rows, lights)) < 0.1
-    bits = np.packbits(table_, axis=1)
-    merged, weight = merge_rows(bits)
+    words = as_words(np.packbits(table_, axis=1))
+    first, weight = merge_rows(words)
+    merged = words[first]
     assert weight.sum() == rows
     assert (np.diff(weight) <= 0).all()
     assert len(np.unique(merged, axis=0)) == len(merged)
     for row, times in zip(merged, weight, strict=True):
-        assert (bits == row).all(1).sum() == times
+        assert (words == row).all(1).sum() == times
     assert_array_equal(votes(merged, weight, lights), table_.sum(0))
 
 
@@ -309,7 +311,7 @@ def test_plans_of_a_ball() -> None:
     mask = x**2 + y**2 < 0.98
     normals = np.stack([x, y, np.sqrt(np.where(mask, 1 - x**2 - y**2, 0))], -1)
     lights = [Light(direction=light.position) for light in dome(12, np.radians([15, 30, 45, 60, 75]), 1.0)]
-    seen = measurability(None, normals, [0, 0, 1], lights, mask=mask)
+    seen = measurability(None, normals, [0, 0, 1], lights, mask=mask, criterion=HalfAngleCriterion())
     plans = {method: plan(method, PlanningTask(lights, seen, target=0.8)) for method in ("static", "greedy")}
     # no light reaches pixels within 30 degrees of the view diffuse-only
     slant = np.degrees(np.arccos(normals[mask][:, 2]))

@@ -57,9 +57,19 @@ class ParametricModel(Model):
         return ObjectGeometry.lacking(dataset)
 
     @classmethod
-    def fit(cls, dataset: IlluminationDataset, frames: Sequence[int], progress: Progress = no_progress) -> Self:
-        """See `Model.fit`. Saturated, dark and shadowed observations are left out and counted in `statistics`."""
-        observer = Observer(dataset, frames)
+    def fit(
+        cls,
+        dataset: IlluminationDataset,
+        frames: Sequence[int],
+        progress: Progress = no_progress,
+        *,
+        geometry: ObjectGeometry | None = None,
+    ) -> Self:
+        """See `Model.fit`. Saturated, dark and shadowed observations are left out and counted in `statistics`.
+
+        `geometry` is the dataset's surface, where the caller has made it already.
+        """
+        observer = Observer(dataset, frames, geometry)
         found = cls._estimate(observer, progress)
         if np.all(found.values["nearest_half_angle"] >= estimates.NEVER_SEEN_RAD):
             raise InputError(f"{dataset.folder}: frames: every observation of the object is saturated or in shadow")

@@ -209,7 +209,7 @@ def _fit_point(
             sigma = refine(y, d, s, angle2, weight, sums, sigma, lowest, 3 if unsettled else 1, lobe, solution)
         else:
             solve(y, d, s, lobe, weight, sums, False, solution)
-        scale2 = _reweigh(y, d, s, lobe, solution, noise_floor, noise_slope, noise, robust, weight)
+        scale2 = reweigh(y, d, s, lobe, solution, noise_floor, noise_slope, noise, robust, weight)
         # outliers may have misled the first search
         unsettled = turn == 0 and robust.sum() < _CLEAN * n
         now = solution[0] + solution[1] + solution[2] + solution[3] * sigma * sigma
@@ -248,7 +248,7 @@ def _first_weights(y: Array, d: Array, noise_floor: float, noise_slope: float, w
 
 
 @njit(cache=True, nogil=True)
-def _reweigh(
+def reweigh(
     y: Array,
     d: Array,
     s: Array,

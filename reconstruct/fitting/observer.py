@@ -31,12 +31,21 @@ class Observer:
         Its P pixels are what is observed.
     levels : Levels
         Scale and noise of the dataset.
+
+    Parameters
+    ----------
+    dataset : IlluminationDataset
+    frames : sequence of int
+    geometry : ObjectGeometry, optional
+        The dataset's surface, where the caller has made it already.
     """
 
-    def __init__(self, dataset: IlluminationDataset, frames: Sequence[int]) -> None:
+    def __init__(
+        self, dataset: IlluminationDataset, frames: Sequence[int], geometry: ObjectGeometry | None = None
+    ) -> None:
         if len(frames) == 0:
             raise InputError(f"{dataset.folder}: frames: at least one is needed for a fit")
-        self.geometry = ObjectGeometry.of(dataset)
+        self.geometry = ObjectGeometry.of(dataset) if geometry is None else geometry
         self.levels = read_levels(dataset, frames)
         self._dataset, self._frames = dataset, list(frames)
         self._lights = [dataset.frames[i].light for i in frames]

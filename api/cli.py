@@ -14,6 +14,7 @@ import typer
 
 from api import console
 from api.calibrate_cli import calibrate
+from api.plan_cli import plan
 
 app = typer.Typer(
     name="lightstage",
@@ -76,43 +77,7 @@ def import_(
     console.write_result(result, json)
 
 
-@app.command()
-def plan(
-    out: Annotated[Path, typer.Option(metavar="plan.json", help="Plan to write.")],
-    rig: Annotated[
-        Path | None, typer.Option(metavar="RIG", help="Description of the stage; its dome of lights is planned with.")
-    ] = None,
-    candidates: Annotated[
-        Path | None, typer.Option(metavar="DATASET|lights.json", help="Lights to choose from.")
-    ] = None,
-    surface: Annotated[
-        Path | None, typer.Option(metavar="FILE|DATASET", help="What is to be lit: a mesh, or a dataset with depth.")
-    ] = None,
-    method: Annotated[
-        str, typer.Option(metavar="NAME", help="static, greedy, optimal, farthest or random.")
-    ] = "greedy",
-    count: Annotated[int | None, typer.Option(metavar="K", help="Choose exactly K lights.")] = None,
-    target: Annotated[
-        float | None,
-        typer.Option(metavar="F", help="Share of what all candidates can show, per component; 1 by default."),
-    ] = None,
-    json: Json = False,
-) -> None:
-    """Choose the lights that show the most."""
-    from api.verbs.planning import plan as run
-
-    with console.progress("plan") as progress:
-        result = run(
-            out,
-            rig=rig,
-            candidates=candidates,
-            surface=surface,
-            method=method,
-            count=count,
-            target=target,
-            progress=progress,
-        )
-    console.write_result(result, json)
+app.command()(plan)
 
 
 @app.command(name="check")
@@ -123,13 +88,16 @@ def check_plan(
         Path | None, typer.Argument(metavar="OUT", help="Dataset folder; of an interrupted capture, what is left.")
     ] = None,
     camera: Annotated[bool, typer.Option("--camera", help="Ask the camera which exposure times it offers.")] = False,
+    most: Annotated[
+        int | None, typer.Option(metavar="N", help="Lights that 'capture --until' may take; all have to be possible.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Say whether a plan can be captured, and how long it takes; nothing moves."""
     from api.verbs.checking_plan import check_plan as run
 
     with console.progress("check"):
-        estimate = run(rig, plan, out, ask_camera=camera)
+        estimate = run(rig, plan, out, ask_camera=camera, most=most)
     if json:
         console.write_json(estimate.to_json())
     else:
@@ -151,9 +119,25 @@ def capture(
     patience: Annotated[
         float, typer.Option(metavar="SECONDS", min=0, help="How long to wait for a disk that refuses.")
     ] = 600.0,
+    until: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ERROR|auto",
+            help="Choose among all candidates as the capture goes, until other pictures are expected to be off by "
+            "ERROR grey levels; auto: until nothing more is to be gained.",
+        ),
+    ] = None,
+    model: Annotated[
+        str | None, typer.Option(metavar="NAME", help="What --until fits; torrance-sparrow by default.")
+    ] = None,
+    most: Annotated[int | None, typer.Option(metavar="N", help="Lights that --until takes at the most.")] = None,
+    batch: Annotated[
+        int | None, typer.Option(metavar="B", help="Lights that --until chooses at a time; 1 by default.")
+    ] = None,
     json: Json = False,
 ) -> None:
-    """Photograph the object under every light of a plan."""
+    """Photograph the object under every light of a plan, or under as many as it takes."""
+    from api.adaptive_capture import until_of
     from api.verbs.capturing import capture as run
 
     with console.progress("capture") as progress:
@@ -164,6 +148,7 @@ def capture(
             resume=resume,
             alerts=alert or (),
             patience_s=patience,
+            until=until_of(until, model=model, most=most, batch=batch),
             note=console.say,
             progress=progress,
         )

@@ -21,10 +21,12 @@ from acquisition.plan import CapturePlan, write_plan
 from api.demo_stage import NEW_LIGHTS, demo_rig, held_out_lights
 from api.devices import Bench, open_bench
 from api.evaluation_report import Inspector, Seen, evaluation_content, mean_picture, stage_view
+from api.plan_choice import choose_lights
+from api.planning_wishes import Wishes
 from api.report import write_report, write_summary_picture
 from api.report.content import Coverage, Relit, ReportContent
 from api.surface_source import surface_of_depth
-from api.verbs.planning import capture_plan, choose_lights, rig_lights
+from api.verbs.planning import capture_plan, rig_lights
 from api.verbs.relighting import relight
 from reconstruct.evaluate import Evaluation, evaluate
 from reconstruct.holdout import Split
@@ -90,7 +92,7 @@ def demo(out: Path, *, progress: Progress = no_progress) -> dict[str, Any]:
             with watch.step("plan"):
                 surface = surface_of_depth(truth.depth, truth.mask, rig.camera.calibration())
                 candidates = rig_lights(rig, source="rig.yaml")
-                chosen = choose_lights(candidates, surface, METHOD, target=TARGET)
+                chosen = choose_lights(candidates, surface, Wishes(method=METHOD, target=TARGET)).plan
                 # With the mesh beside it, each step can be repeated by its own command.
                 points = rig.camera.calibration().depth_to_points(truth.depth)
                 write_ply(folder / "object.ply", *triangulate_depth(points, truth.mask))

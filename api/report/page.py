@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -63,19 +64,23 @@ def render_page(content: ReportContent) -> str:
     The page carries its style, pictures and scripts; its content security policy forbids it to fetch anything and to
     run any script but its own. plotly.js (about 5 MB) is there only where a chart needs it.
     """
+    return assemble(content.title, content.lede, summary_block(content), [make(content) for make in _SECTIONS])
+
+
+def assemble(title: str, lede: str, summary: str, sections: Sequence[str]) -> str:
+    """A page of ready sections, those that are empty left out, with its contents, style and scripts."""
     package = files("api.report")
-    sections = [part for part in (make(content) for make in _SECTIONS) if part]
     headings = [match.groups() for match in map(_HEADING.match, sections) if match]
     contents = "".join(f'<li><a href="#{ident}">{heading}</a></li>' for ident, heading in headings)
-    body = "\n".join(sections)
+    body = "\n".join(part for part in sections if part)
     scripts: list[str] = []
     if "data-chart=" in body:
         scripts = [plotly.offline.get_plotlyjs(), (package / "charts.js").read_text(encoding="utf-8")]
     return Template((package / "page.html").read_text(encoding="utf-8")).substitute(
-        title=text(content.title),
-        lede=f'<p class="lede">{text(content.lede)}</p>' if content.lede else "",
+        title=text(title),
+        lede=f'<p class="lede">{text(lede)}</p>' if lede else "",
         style=(package / "page.css").read_text(encoding="utf-8"),
-        summary=summary_block(content),
+        summary=summary,
         contents=f'<nav aria-label="Contents"><ol>{contents}</ol></nav>' if len(headings) > 2 else "",
         sections=body,
         scripts="\n".join(f"<script>{script}</script>" for script in scripts),

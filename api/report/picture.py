@@ -20,13 +20,15 @@ WIDTH = 1280
 MARGIN, GAP, COLUMNS = 36, 24, 4
 COLUMN = (WIDTH - 2 * MARGIN - (COLUMNS - 1) * GAP) // COLUMNS
 MAX_TILE_HEIGHT = 340
-HEAD, FOOT = 30, 52
+HEAD, FOOT, LEGEND_LINE = 30, 52, 20
 # Of many maps, those that name the object's material and how far it was measured.
 _MAPS_SHOWN = ("diffuse albedo", "specular albedo, Ward's ρs", "roughness, Ward's α", "what was measured directly")
 
 
 @dataclass(frozen=True, eq=False)
-class _Tile:
+class Tile:
+    """One picture of a row: heading above; a colour scale, a legend or a note below."""
+
     heading: str
     picture: ByteImage
     note: str = ""
@@ -49,29 +51,34 @@ def write_summary_picture(path: str | Path, content: ReportContent) -> None:
     InputError
         Where the file cannot be written.
     """
-    picture = summary_picture(content)
+    write_png(Path(path), summary_picture(content))
+
+
+def write_png(path: Path, picture: ByteImage) -> None:
+    """Write an RGB picture, wholly or not at all."""
     _, data = cv2.imencode(".png", picture[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    with staged_file(Path(path)) as temporary:
+    with staged_file(path) as temporary:
         temporary.write_bytes(data.tobytes())
 
 
 def summary_picture(content: ReportContent) -> ByteImage:
     """Compose the picture: (height, 1280, 3) RGB uint8."""
     rows = [row for row in (_first_row(content), _map_tiles(content), _relit_tiles(content)) if row]
-    blocks = [_header(content)] + [_draw_row(row) for row in rows]
+    blocks = [draw_header(content.title, content.lede, content.summary)] + [draw_row(row) for row in rows]
     return np.concatenate([*blocks, blank(WIDTH, MARGIN - 8)])
 
 
-def _header(content: ReportContent) -> ByteImage:
-    height = 84 + (26 if content.lede else 0) + (66 if content.summary else 0)
+def draw_header(title: str, lede: str, summary: Sequence[tuple[str, str]]) -> ByteImage:
+    """Title, lede and up to six figures with their labels."""
+    height = 84 + (26 if lede else 0) + (66 if summary else 0)
     canvas = blank(WIDTH, height)
     room = WIDTH - 2 * MARGIN
     y = 60
-    write(canvas, fitted(content.title, 30, room, 700), MARGIN, y, 30, INK, 700)
-    if content.lede:
+    write(canvas, fitted(title, 30, room, 700), MARGIN, y, 30, INK, 700)
+    if lede:
         y += 30
-        write(canvas, fitted(content.lede, 16, room), MARGIN, y, 16, MUTED)
-    shown = content.summary[:6]
+        write(canvas, fitted(lede, 16, room), MARGIN, y, 16, MUTED)
+    shown = summary[:6]
     step = room // max(1, len(shown))
     for k, (label, value) in enumerate(shown):
         x = MARGIN + k * step
@@ -81,14 +88,14 @@ def _header(content: ReportContent) -> ByteImage:
     return canvas
 
 
-def _first_row(content: ReportContent) -> list[_Tile]:
+def _first_row(content: ReportContent) -> list[Tile]:
     tiles = []
     if content.stage is not None:
         view = content.stage
         chosen = f", {len(view.chosen)} chosen" if view.chosen else ""
         beside = content.comparisons[0].real if content.comparisons else blank(COLUMN, COLUMN)
         drawn = draw_stage(view, COLUMN, _to_column(beside).shape[0])
-        tiles.append(_Tile("stage and lights", drawn, f"{len(view.lights)} lights{chosen}"))
+        tiles.append(Tile("stage and lights", drawn, f"{len(view.lights)} lights{chosen}"))
     if content.comparisons:
         comparison = content.comparisons[0]
         top = imaging.difference_scale(content.comparisons)
@@ -100,9 +107,9 @@ def _first_row(content: ReportContent) -> list[_Tile]:
         figures = [f"MAE {number(comparison.mae, 3)} grey levels"] if comparison.mae is not None else []
         figures += [f"PSNR {number(comparison.psnr, 4)} dB"] if comparison.psnr is not None else []
         tiles += [
-            _Tile("photograph, held out", real, comparison.light),
-            _Tile(f"rendered: {comparison.model}", rendered, ", ".join(figures)),
-            _Tile(
+            Tile("photograph, held out", real, comparison.light),
+            Tile(f"rendered: {comparison.model}", rendered, ", ".join(figures)),
+            Tile(
                 "size of the difference",
                 imaging.colour_scale(size, 0, top, imaging.ERRORS),
                 bar=("0", f"{top} grey levels", imaging.ERRORS),
@@ -111,7 +118,7 @@ def _first_row(content: ReportContent) -> list[_Tile]:
     return tiles
 
 
-def _map_tiles(content: ReportContent) -> list[_Tile]:
+def _map_tiles(content: ReportContent) -> list[Tile]:
     if content.maps is None or not content.maps.maps:
         return []
     mask = object_mask(content.maps)
@@ -120,28 +127,30 @@ def _map_tiles(content: ReportContent) -> list[_Tile]:
     return [_map_tile(picture, mask) for picture in (main or pictures)[:COLUMNS]]
 
 
-def _map_tile(picture: MapPicture, mask: BoolArray) -> _Tile:
+def _map_tile(picture: MapPicture, mask: BoolArray) -> Tile:
     on_paper = np.where(mask[..., None], picture.rgb, np.uint8(255))
     note = picture.notes[0] if picture.notes and picture.scale is None else ""
     bar = None
     if picture.scale is not None:
         low, high, unit = picture.scale
         bar = (number(low, 3), f"{number(high, 3)} {unit}".strip(), imaging.VALUES)
-    return _Tile(picture.label, on_paper, note, bar, picture.legend)
+    return Tile(picture.label, on_paper, note, bar, picture.legend)
 
 
-def _relit_tiles(content: ReportContent) -> list[_Tile]:
+def _relit_tiles(content: ReportContent) -> list[Tile]:
     if not content.relit:
         return []
     exposure = imaging.common_exposure([relit.image for relit in content.relit])
-    return [_Tile(relit.title, imaging.display(relit.image, exposure)) for relit in content.relit[:COLUMNS]]
+    return [Tile(relit.title, imaging.display(relit.image, exposure)) for relit in content.relit[:COLUMNS]]
 
 
-def _draw_row(tiles: Sequence[_Tile]) -> ByteImage:
+def draw_row(tiles: Sequence[Tile]) -> ByteImage:
+    """Up to four tiles side by side."""
     pictures = [_to_column(tile.picture) for tile in tiles]
     tallest = max(picture.shape[0] for picture in pictures)
     noted = any(tile.note or tile.bar or tile.legend for tile in tiles)
-    canvas = blank(WIDTH, HEAD + tallest + (FOOT if noted else 20))
+    foot = max(FOOT if noted else 20, *(LEGEND_LINE * len(tile.legend) + 16 for tile in tiles))
+    canvas = blank(WIDTH, HEAD + tallest + foot)
     for k, (tile, picture) in enumerate(zip(tiles, pictures, strict=True)):
         x = MARGIN + k * (COLUMN + GAP)
         write(canvas, fitted(tile.heading, 15, COLUMN, 600), x, 20, 15, INK, 600)
@@ -150,7 +159,7 @@ def _draw_row(tiles: Sequence[_Tile]) -> ByteImage:
     return canvas
 
 
-def _draw_foot(canvas: ByteImage, tile: _Tile, x: int, y: int) -> None:
+def _draw_foot(canvas: ByteImage, tile: Tile, x: int, y: int) -> None:
     if tile.bar is not None:
         low, high, colormap = tile.bar
         paste(canvas, colour_bar(COLUMN, 8, colormap), x, y + 8)
@@ -158,8 +167,8 @@ def _draw_foot(canvas: ByteImage, tile: _Tile, x: int, y: int) -> None:
         write(canvas, high, x + COLUMN - text_width(high, 13), y + 32, 13, MUTED)
     elif tile.legend:
         for line, (colour, name) in enumerate(tile.legend):
-            paste(canvas, np.full((12, 12, 3), colour, dtype=np.uint8), x, y + 8 + 20 * line)
-            write(canvas, fitted(name, 13, COLUMN - 18), x + 18, y + 19 + 20 * line, 13, MUTED)
+            paste(canvas, np.full((12, 12, 3), colour, dtype=np.uint8), x, y + 8 + LEGEND_LINE * line)
+            write(canvas, fitted(name, 13, COLUMN - 18), x + 18, y + 19 + LEGEND_LINE * line, 13, MUTED)
     elif tile.note:
         write(canvas, fitted(tile.note, 13, COLUMN), x, y + 19, 13, MUTED)
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from acquisition.calibration.applying import load_corrections
 from acquisition.capture import capture as take
 from acquisition.conditions import conditions_of
-from acquisition.developing import Geometry
 from acquisition.plan import CapturePlan, read_plan
 from acquisition.session import PATIENCE_S
 from acquisition.taken import EventKind, SessionEvent
+from api.adaptive_capture import Until, choosing
 from api.attendance import attendance
 from api.devices import open_bench
 from api.rig_file import calibration_files, in_rig, read_rig
@@ -21,8 +21,22 @@ from reconstruct.model import Progress, no_progress
 from stage.errors import InputError
 from stage.rig import Rig
 
+if TYPE_CHECKING:
+    from api.surface_source import Surface
+
 TOLD: frozenset[EventKind] = frozenset(
-    {"paused", "operator", "resumed", "suspended", "continued", "skipped", "faulty", "stopping", "emergency-stop"}
+    {
+        "paused",
+        "operator",
+        "resumed",
+        "suspended",
+        "continued",
+        "skipped",
+        "faulty",
+        "chosen",
+        "stopping",
+        "emergency-stop",
+    }
 )
 """Events that a person at the terminal reads while they happen."""
 WHAT_NEXT = "; then type 'lightstage session {} resume' in another terminal"
@@ -36,6 +50,7 @@ def capture(
     resume: bool = False,
     alerts: Sequence[str] = (),
     patience_s: float = PATIENCE_S,
+    until: Until | None = None,
     note: Callable[[str], None] = lambda sentence: None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
@@ -53,6 +68,9 @@ def capture(
         Web addresses and commands that are told when somebody is needed: see `acquisition.alerts`.
     patience_s : float
         How long a disk that refuses is asked again before the session ends.
+    until : Until, optional
+        Choose among all candidates of the plan as the capture goes, and end when this is reached; all lights of the
+        plan are taken otherwise.
     note : callable
         Told in a sentence what happens on the way; called from any thread.
 
@@ -73,9 +91,15 @@ def capture(
     description, planned = read_rig(rig), read_plan(plan)
     corrections = load_corrections(calibration_files(description, rig))
     calibrated = corrections.rig(description)
-    geometry = planned_surface(planned, calibrated, source=plan)
+    surface = planned_surface(planned, calibrated, source=plan)
+    if until is not None:
+        planned = planned.of_all_candidates()
     try:
-        with attendance(out, alerts, note) as attended, open_bench(description) as bench:
+        with (
+            choosing(until, planned, calibrated, surface, corrections, out) as chooser,
+            attendance(out, alerts, note) as attended,
+            open_bench(description) as bench,
+        ):
             devices = bench.motion, bench.lamp, bench.camera
 
             def on_event(event: SessionEvent) -> None:
@@ -91,12 +115,14 @@ def capture(
                 rig=description,
                 corrections=corrections,
                 resume=resume,
-                geometry=geometry,
+                geometry=None if surface is None else surface.geometry,
                 conditions=conditions_of(description, devices, rig.parent, bench.clock),
                 patience_s=patience_s,
                 clock=bench.clock,
                 on_event=on_event,
                 attended=attended.attended,
+                chooser=chooser,
+                most=None if until is None else until.most,
                 progress=progress,
             )
     except InputError as error:
@@ -105,8 +131,8 @@ def capture(
     return {"out": str(out), **describe(dataset)}
 
 
-def planned_surface(plan: CapturePlan, rig: Rig, *, source: Path) -> Geometry:
-    """Geometry of the surface that a plan was made for; empty where it was made for none.
+def planned_surface(plan: CapturePlan, rig: Rig, *, source: Path) -> Surface | None:
+    """The surface that a plan was made for; None where it was made for none.
 
     Raises
     ------
@@ -115,7 +141,7 @@ def planned_surface(plan: CapturePlan, rig: Rig, *, source: Path) -> Geometry:
     """
     place = plan.provenance.get("surface")
     if not isinstance(place, str):
-        return Geometry()
+        return None
     # What casts rays and compares pictures takes a second to load.
     from api.surface_source import read_surface
     from reconstruct.evaluate import same_camera
@@ -127,4 +153,4 @@ def planned_surface(plan: CapturePlan, rig: Rig, *, source: Path) -> Geometry:
     surface = read_surface(Path(place), camera)
     if surface.camera is None or not same_camera(surface.camera, camera):
         raise InputError(f"{field}: {place!r} was not seen by the rig's camera; plan for its own surface")
-    return surface.geometry
+    return surface

@@ -2,31 +2,36 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from acquisition.check import light_levels
-from acquisition.dataset import staged_file
+from acquisition.dataset import IlluminationDataset, staged_file
 from acquisition.importing import load_any
 from acquisition.plan import CapturePlan, PlannedLight, plan_text
 from api.lights_file import read_lights
+from api.plan_choice import as_options, choose_lights
+from api.planning_wishes import Wishes
 from api.rig_file import read_calibrated_rig
 from api.surface_source import Surface, read_surface, surface_of
 from reconstruct.model import Progress, no_progress
 from stage.errors import InputError
 from stage.lights import Light, dome
-from stage.measurability import measurability
-from stage.planning import METHODS, LightPlan, PlanningTask
-from stage.planning import plan as choose
+from stage.planning import LightPlan
+from stage.planning.outcome import blind_outcome
 from stage.rig import FixedDome, Rig
 
 RINGS_DEG = (15.0, 30.0, 45.0, 60.0, 75.0)
 PER_RING = 12
 """A rig's own candidates: 60 places on five rings, as many as the paper's (M03)."""
 
-NEEDS_NO_SURFACE = ("farthest", "random", "information")
+WITHOUT_PICTURES = "is for plans that are made before there are pictures, without --model"
 
 
 def plan(
@@ -35,9 +40,10 @@ def plan(
     rig: Path | None = None,
     candidates: Path | None = None,
     surface: Path | None = None,
-    method: str = "greedy",
-    count: int | None = None,
-    target: float | None = None,
+    wishes: Wishes | None = None,
+    model: str | None = None,
+    tolerance: float | None = None,
+    report: Path | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Choose lights and write ``plan.json``, or ``plan.yaml``.
@@ -54,65 +60,106 @@ def plan(
     surface : Path, optional
         A dataset with depth, mesh or normals, or a mesh file. Where it is not given and `candidates` is a dataset that
         knows its surface, that one.
-    method : str
-        Name in `stage.planning.METHODS`.
-    count : int, optional
-        Exactly so many lights.
-    target : float, optional
-        Share, per component, of what all candidates together can show; 1 by default.
+    wishes : Wishes, optional
+        How they are chosen.
+    model : str, optional
+        Choose from the pictures of the dataset `candidates`, one after the other, by what this model still lacks: see
+        `api.closed_loop.replay`. Only pictures that were chosen are looked at.
+    tolerance : float, optional
+        Held-out error in 8-bit grey levels at which `model` is good enough.
+    report : Path, optional
+        A page to write: coverage maps, the lights on the stage, and the plan beside those of the other methods.
 
     Returns
     -------
     dict
-        ``out`` and `stage.planning.LightPlan.to_json`: ``lights``, ``count``, ``lower_bound``, ``coverage`` and more.
+        ``out`` and `stage.planning.LightPlan.to_json`: ``lights``, ``count``, ``lower_bound``, ``coverage`` and more;
+        ``seconds`` of a plan for the least time, with ``seconds_bound``.
 
     Raises
     ------
     InputError
         Before anything is written.
     """
-    if method not in METHODS:
-        raise InputError(f"--method: expected one of {', '.join(METHODS)}, got {method!r}")
-    description = read_calibrated_rig(rig) if rig is not None else None
-    with staged_file(out) as temporary:
-        lights, seen = _candidates(candidates, description, rig)
+    wishes = wishes or Wishes()
+    if model is not None or tolerance is not None:
+        others = {"--rig": rig, "--surface": surface, "--report": report}
+        return _plan_by_pictures(out, candidates, wishes, model, tolerance, others, progress)
+    given = (rig, candidates, surface)
+    _refuse_overwriting("--out", out, given)
+    with ExitStack() as files:
+        temporary = files.enter_context(staged_file(out))
+        page = None
+        if report is not None:
+            _refuse_overwriting("--report", report, (*given, out))
+            page = files.enter_context(staged_file(report))
+        description = read_calibrated_rig(rig) if rig is not None else None
+        offered = _candidates(candidates, description, rig)
+        seen = offered.surface
         if surface is not None:
             seen = read_surface(surface, description.camera.calibration() if description else None)
-        chosen = choose_lights(lights, seen, method, count=count, target=target, progress=progress)
-        written = capture_plan(lights, chosen, surface=surface or (candidates if seen is not None else None))
+        with _naming(offered):
+            chosen = choose_lights(offered.lights, seen, wishes, rig=description, progress=progress)
+        origin = surface or (candidates if seen is not None else None)
+        written = capture_plan(offered.lights, chosen.plan, surface=origin)
         temporary.write_text(plan_text(written, out), encoding="utf-8")
-    return {"out": str(out), **chosen.to_json()}
+        found = {"out": str(out), **chosen.plan.to_json()}
+        if chosen.timed is not None:
+            found |= {"seconds": chosen.timed.seconds, "seconds_bound": chosen.timed.bound_s}
+        if page is not None:
+            from api.plan_survey import survey
+            from api.report.plan_page import render_plan_page
+
+            content = survey(offered.lights, seen, chosen, wishes, rig=description)
+            page.write_text(render_plan_page(content), encoding="utf-8")
+            found["report"] = str(report)
+    return found
 
 
-def choose_lights(
-    lights: list[Light],
-    surface: Surface | None,
-    method: str,
-    *,
-    count: int | None = None,
-    target: float | None = None,
-    progress: Progress = no_progress,
-) -> LightPlan:
-    """Choose among `lights` by what they show of `surface`; raises `InputError` that names the option."""
-    if surface is None and method not in NEEDS_NO_SURFACE:
-        raise InputError(f"--surface: the method '{method}' needs to know what is to be lit")
-    measurable = None
-    if surface is not None:
-        measurable = measurability(
-            surface.points,
-            surface.normals,
-            surface.view,
-            lights,
-            mask=surface.mask,
-            occluder=surface.occluder,
-            progress=progress,
+def _plan_by_pictures(
+    out: Path,
+    candidates: Path | None,
+    wishes: Wishes,
+    model: str | None,
+    tolerance: float | None,
+    others: Mapping[str, Path | None],
+    progress: Progress,
+) -> dict[str, Any]:
+    """Choose among the pictures of a dataset by what those that were chosen have taught; `others` must not be given."""
+    if model is None or wishes.method != "information" or candidates is None:
+        raise InputError(
+            "--model, --tolerance: choose from the pictures of a dataset; give --method information, --model and that "
+            "dataset as --candidates"
         )
-    try:
-        task = PlanningTask(lights, measurable, target=1.0 if target is None else target, count=count)
-        return choose(method, task)
-    except InputError as error:
-        # What the planner calls a field is an option here.
-        raise InputError(f"--{error}" if str(error).startswith(("count", "target", "method")) else str(error)) from None
+    for option, value in {**others, "--target": wishes.target, "--apart": wishes.apart_deg}.items():
+        if value is not None:
+            raise InputError(f"{option}: {WITHOUT_PICTURES}")
+    _refuse_overwriting("--out", out, (candidates,))
+    from api.closed_loop import replay
+
+    with staged_file(out) as temporary:
+        dataset = load_any(candidates)
+        _refuse_dark(dataset.lights, _frame_of(dataset))
+        with as_options():
+            loop = replay(
+                dataset,
+                model=model,
+                tolerance=tolerance,
+                aim=wishes.aim,
+                most=wishes.count,
+                seed=wishes.seed,
+                progress=progress,
+            )
+        # nothing is proved of what pictures teach, except that it takes one
+        chosen = replace(
+            blind_outcome(wishes.method, list(loop.frames)),
+            lower_bound=1,
+            bound_by="nothing is proved",
+            figures=loop.last.figures,
+        )
+        written = capture_plan(dataset.lights, chosen, surface=candidates)
+        temporary.write_text(plan_text(written, out), encoding="utf-8")
+    return {"out": str(out), **chosen.to_json(), **loop.to_json()}
 
 
 def capture_plan(lights: list[Light], chosen: LightPlan, *, surface: Path | None = None) -> CapturePlan:
@@ -160,17 +207,61 @@ def rig_lights(rig: Rig, *, source: str) -> list[Light]:
     return found
 
 
-def _candidates(path: Path | None, rig: Rig | None, rig_path: Path | None) -> tuple[list[Light], Surface | None]:
-    """Lights to choose from, and the surface that comes with them."""
+class _Offered(NamedTuple):
+    """Lights to choose from, the surface that comes with them, and what the file calls one of them."""
+
+    lights: list[Light]
+    surface: Surface | None
+    name: Callable[[int], str]
+
+
+def _candidates(path: Path | None, rig: Rig | None, rig_path: Path | None) -> _Offered:
+    """What may be chosen from; raises `InputError` that names the file, also for a light that is dark."""
     if path is None:
         if rig is None:
             raise InputError("--rig, --candidates: give one of the two, so that there are lights to choose from")
-        return rig_lights(rig, source=str(rig_path)), None
+        lights = rig_lights(rig, source=str(rig_path))
+        return _Offered(lights, None, lambda number: f"{rig_path}: candidates[{number}]")
     if path.suffix.lower() == ".json" and path.name != "dataset.json":
-        return _listed(path), None
-    dataset = load_any(path)
+        offered = _Offered(_listed(path), None, lambda number: f"{path}: lights[{number}]")
+    else:
+        offered = _of_dataset(load_any(path))
+    _refuse_dark(offered.lights, offered.name)
+    return offered
+
+
+def _of_dataset(dataset: IlluminationDataset) -> _Offered:
     knows_surface = dataset.points is not None or dataset.normals is not None or dataset.mesh is not None
-    return dataset.lights, surface_of(dataset) if knows_surface else None
+    return _Offered(dataset.lights, surface_of(dataset) if knows_surface else None, _frame_of(dataset))
+
+
+def _frame_of(dataset: IlluminationDataset) -> Callable[[int], str]:
+    return lambda number: f"{dataset.source}: frames[{number}].light"
+
+
+def _refuse_dark(lights: Iterable[Light], name: Callable[[int], str]) -> None:
+    for number, light in enumerate(lights):
+        if not any(light.intensity):
+            raise InputError(f"{name(number)}.intensity: is dark, so that it shows nothing; leave it out")
+
+
+@contextmanager
+def _naming(offered: _Offered) -> Iterator[None]:
+    """Name the file's own entry where a planner names a candidate by its number."""
+    try:
+        yield
+    except InputError as error:
+        numbered = re.match(r"candidates\[(\d+)\]", str(error))
+        if numbered is None:
+            raise
+        raise InputError(f"{offered.name(int(numbered[1]))}{str(error)[numbered.end() :]}") from None
+
+
+def _refuse_overwriting(option: str, out: Path, others: Iterable[Path | None]) -> None:
+    """A plan must not take the place of what it was made from; folders are refused where they are written to."""
+    for other in others:
+        if other is not None and out.resolve() in (other.resolve(), (other / "dataset.json").resolve()):
+            raise InputError(f"{option}: {out} has another use in the same command; give it a name of its own")
 
 
 def _listed(path: Path) -> list[Light]:
@@ -179,6 +270,8 @@ def _listed(path: Path) -> list[Light]:
         if len(group) > 1:
             raise InputError(f"{path}: lights[{number}]: a candidate is one light, got {len(group)} lit together")
         [(light, scale)] = group
+        if scale == 0:
+            raise InputError(f"{path}: lights[{number}].scale: is 0, so that it shows nothing; leave it out")
         r, g, b = light.intensity
         lights.append(Light(light.position, light.direction, (scale * r, scale * g, scale * b)))
     return lights

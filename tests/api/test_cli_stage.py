@@ -127,7 +127,7 @@ def test_plan_refuses(refused, rig, bump, ramps, tmp_path):
     group = write_json(tmp_path / "group.json", [[{"direction": [0, 0, 1]}, {"direction": [0, 1, 1]}]])
     assert "--rig, --candidates" in refused("plan", *out)
     assert "--method: expected one of static" in refused("plan", "--rig", rig, "--method", "odd", *out)
-    assert "--surface: the method 'greedy'" in refused("plan", "--candidates", lights, *out)
+    assert "--surface: the method 'optimal'" in refused("plan", "--candidates", lights, *out)
     assert "give --rig for its camera" in refused("plan", "--candidates", lights, "--surface", bump, *out)
     assert "no depth, mesh or normals" in refused("plan", "--candidates", lights, "--surface", ramps, *out)
     assert "no such file or folder" in refused("plan", "--rig", rig, "--surface", tmp_path / "none.ply", *out)

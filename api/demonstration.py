@@ -37,8 +37,8 @@ from stage.surface import triangulate_depth
 
 MODELS = ("lambert", "method-1", "torrance-sparrow", "apparent-brdf")
 RELIT_WITH = ("torrance-sparrow", "apparent-brdf")
-METHOD, TARGET = "greedy", 0.8
-"""The paper's method and its rule (M15)."""
+METHOD, TARGET, PLANNING_S = "optimal", 0.9, 3.0
+"""Fewest lights for nine tenths of what all candidates show, and how long they are looked for."""
 
 
 class Stopwatch:
@@ -92,7 +92,9 @@ def demo(out: Path, *, progress: Progress = no_progress) -> dict[str, Any]:
             with watch.step("plan"):
                 surface = surface_of_depth(truth.depth, truth.mask, rig.camera.calibration())
                 candidates = rig_lights(rig, source="rig.yaml")
-                chosen = choose_lights(candidates, surface, Wishes(method=METHOD, target=TARGET)).plan
+                chosen = choose_lights(
+                    candidates, surface, Wishes(method=METHOD, target=TARGET, time_limit_s=PLANNING_S)
+                ).plan
                 # With the mesh beside it, each step can be repeated by its own command.
                 points = rig.camera.calibration().depth_to_points(truth.depth)
                 write_ply(folder / "object.ply", *triangulate_depth(points, truth.mask))

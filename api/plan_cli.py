@@ -108,7 +108,8 @@ def plan(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Also write a page (HTML) with maps, curves and all methods; takes up to three times the limit more.",
+            help="Also write a page, or a picture (.png), with maps, curves and all methods; takes up to three "
+            "times the limit more.",
         ),
     ] = None,
     json: Json = False,

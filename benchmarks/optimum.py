@@ -29,11 +29,23 @@ METHODS = "static", "greedy", "optimal"
 SIDE, RADIUS_M = 1160, 0.1
 """About one million pixels of the ball."""
 
+OBJECTS = (1, 20, "dome"), (2, 60, "dome"), (3, 20, "grid"), (4, 60, "grid")
+"""Seed and number of bumps of a ball, and where the candidates are."""
+
 APART_RAD = 10 * HALF_ANGLE_STEP_RAD
 
 
-def run() -> dict[str, Any]:
+def run(side: int = SIDE, time_limit_s: float = 5.0, objects: int = len(OBJECTS)) -> dict[str, Any]:
     """Plan everything.
+
+    Parameters
+    ----------
+    side : int
+        Pixels along the pictures of the balls; a third of it for 2,000 candidates.
+    time_limit_s : float
+        Of each plan; twice that with highlights apart and for 2,000 candidates.
+    objects : int
+        How many of `OBJECTS`. ``run(400, 1.0, 1)`` takes about a minute.
 
     Returns
     -------
@@ -44,9 +56,9 @@ def run() -> dict[str, Any]:
     warm_up()
     load = os.getloadavg()[0]
     instances = []
-    for seed, bumps, candidates in ((1, 20, "dome"), (2, 60, "dome"), (3, 20, "grid"), (4, 60, "grid")):
+    for seed, bumps, candidates in OBJECTS[:objects]:
         for criterion in (HalfAngleCriterion(), LobeCriterion()):
-            seen, seconds = look(seed, bumps, CANDIDATES[candidates](), criterion)
+            seen, seconds = look(seed, bumps, CANDIDATES[candidates](), criterion, side=side)
             instances.append(
                 {
                     "seed": seed,
@@ -55,31 +67,40 @@ def run() -> dict[str, Any]:
                     "criterion": type(criterion).__name__,
                     "pixels": seen.pixels,
                     "measurability_s": seconds,
-                    "targets": [against(seen, target, 10.0) for target in TARGETS],
+                    "targets": [against(seen, target, time_limit_s) for target in TARGETS],
                 }
             )
     return {
         "load": load,
+        "time_limit_s": time_limit_s,
         "instances": instances,
-        "apart": apart(),
+        "apart": apart(side, 2 * time_limit_s),
         "greedy_beaten_by_static": greedy_beaten_by_static(),
-        "many": many(),
+        "many": many(side // 3, 2 * time_limit_s),
     }
 
 
-def apart() -> dict[str, Any]:
+def apart(side: int, time_limit_s: float) -> dict[str, Any]:
     """Two highlights at least five degrees apart (M20) on the first dome."""
-    seen, _ = look(1, 20, on_a_dome(), HalfAngleCriterion(), half_angles=True)
-    return {"apart_deg": 5.0, "targets": [against(seen, target, 10.0, APART_RAD) for target in (0.9, 1.0)]}
+    seen, _ = look(1, 20, on_a_dome(), HalfAngleCriterion(), side=side, half_angles=True)
+    rows = [against(seen, target, time_limit_s, APART_RAD) for target in (0.9, 1.0)]
+    return {"apart_deg": 5.0, "time_limit_s": time_limit_s, "targets": rows}
 
 
-def many() -> dict[str, Any]:
+def many(side: int, time_limit_s: float) -> dict[str, Any]:
     """Two thousand candidates, measurability and plan together."""
     begin = time.perf_counter()
-    seen, seconds = look(5, 20, dome(100, np.radians(np.linspace(5, 80, 20)), 0.7), HalfAngleCriterion(), side=370)
-    rows = [against(seen, target, 30.0, methods=("greedy", "optimal")) for target in (0.9, 1.0)]
-    whole = time.perf_counter() - begin
-    return {"candidates": seen.lights, "pixels": seen.pixels, "measurability_s": seconds, "s": whole, "targets": rows}
+    lights = dome(100, np.radians(np.linspace(5, 80, 20)), 0.7)
+    seen, seconds = look(5, 20, lights, HalfAngleCriterion(), side=side)
+    rows = [against(seen, target, time_limit_s, methods=("greedy", "optimal")) for target in (0.9, 1.0)]
+    return {
+        "candidates": seen.lights,
+        "pixels": seen.pixels,
+        "time_limit_s": time_limit_s,
+        "measurability_s": seconds,
+        "s": time.perf_counter() - begin,
+        "targets": rows,
+    }
 
 
 def greedy_beaten_by_static() -> dict[str, int]:

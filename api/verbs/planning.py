@@ -68,7 +68,8 @@ def plan(
     tolerance : float, optional
         Held-out error in 8-bit grey levels at which `model` is good enough.
     report : Path, optional
-        A page to write: coverage maps, the lights on the stage, and the plan beside those of the other methods.
+        A page to write, or a picture where it ends in ``.png``: coverage maps, the lights on the stage, and the plan
+        beside those of the other methods.
 
     Returns
     -------
@@ -108,10 +109,11 @@ def plan(
             found |= {"seconds": chosen.timed.seconds, "seconds_bound": chosen.timed.bound_s}
         if page is not None:
             from api.plan_survey import survey
-            from api.report.plan_page import render_plan_page
+            from api.report.plan_page import write_plan_report
+            from api.report.plan_picture import write_plan_picture
 
-            content = survey(offered.lights, seen, chosen, wishes, rig=description)
-            page.write_text(render_plan_page(content), encoding="utf-8")
+            write = write_plan_picture if str(report).lower().endswith(".png") else write_plan_report
+            write(page, survey(offered.lights, seen, chosen, wishes, rig=description))
             found["report"] = str(report)
     return found
 

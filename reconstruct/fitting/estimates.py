@@ -33,15 +33,6 @@ NO_HIGHLIGHT_ALPHA = 0.3
 MOST_RELATIVE_STD = 0.5
 """A roughness that is more uncertain than this share of itself is taken from the neighbours instead."""
 
-LOBE_SEEN = 2.0
-"""A lobe is a pixel's own where an observation lies within so many standard deviations of its peak.
-
-Further out less than a seventh of the peak's height was seen, and the peak is an extrapolation of the tail.
-"""
-
-LOBE_SURE = 1.0
-"""Within so many standard deviations more than half of the peak was seen, so that its width can be trusted."""
-
 _FIRST_PASS = 0.8  # of a fit's progress
 
 
@@ -93,19 +84,17 @@ def lambert(observer: Observer, progress: Progress) -> Estimates:
 def torrance_sparrow(observer: Observer, progress: Progress) -> Estimates:
     """Equation (1) from all usable observations by least squares.
 
-    A highlight counts as known where the pixel is `estimated` and either the lobe is well determined and was seen near
-    its peak (`LOBE_SEEN`), or no highlight is significant although one as wide as the neighbours' would have been seen.
-    Elsewhere specular albedo and roughness are interpolated from known neighbours (M21) and the albedo is fitted again
-    with that lobe held, unless the pixel's own observations speak against it.
+    A highlight counts as known where the pixel is `estimated` and either the lobe is well determined or no highlight is
+    significant. Elsewhere specular albedo and roughness are interpolated from known neighbours (M21) and the albedo is
+    fitted again with that lobe held.
     """
     count = observer.count
     common, diffuse, std_diffuse, residual = _start(observer)
     specular, roughness, std_specular, std_roughness = (np.full(count, np.nan) for _ in range(4))
     correlation, status = np.zeros((count, 3)), np.full(count, UNFITTED)
 
-    def store(part: NDArray[np.int64], fit: LobeFit, rows: Flags | slice = slice(None)) -> None:
-        diffuse[part], std_diffuse[part] = np.pi * fit.p_d[rows], fit.std_diffuse[rows]
-        residual[part] = fit.residual[rows]
+    def store(part: NDArray[np.int64], fit: LobeFit) -> None:
+        diffuse[part], std_diffuse[part], residual[part] = np.pi * fit.p_d, fit.std_diffuse, fit.residual
 
     for part, observed in observer.observations(_share(progress, 0.0, _FIRST_PASS)):
         common.note(part, observed)
@@ -116,27 +105,18 @@ def torrance_sparrow(observer: Observer, progress: Progress) -> Estimates:
         roughness[part], status[part] = physical.roughness, fit.status
         std_specular[part], std_roughness[part] = fit.std_specular, fit.std_roughness
         correlation[part] = fit.correlation
-    lobes, shaped = _shaped(observer, common, roughness, std_roughness, status)
-    plain = common.estimated & (status == DIFFUSE)
-    own = specular.copy(), roughness.copy()
-    if shaped.any():
-        roughness = _filled(observer, roughness, shaped)
-        seen_plain = plain & _seen(common, roughness, LOBE_SEEN)
-    else:
-        roughness, seen_plain = np.full(count, NO_HIGHLIGHT_ALPHA), plain
-    known = shaped | seen_plain
-    doubtful = (lobes | plain) & ~known
+    with np.errstate(invalid="ignore"):
+        sharp = common.estimated & (std_roughness <= MOST_RELATIVE_STD * roughness)
+    shaped = sharp & (status == LOBE)
+    if not shaped.any():  # a surface whose highlights are all as wide as they can be
+        shaped = sharp & (status == LOBE_AT_BOUND)
+    known = shaped | (common.estimated & (status == DIFFUSE))
     specular = _filled(observer, specular, known)
+    roughness = _filled(observer, roughness, shaped) if shaped.any() else np.full(count, NO_HIGHLIGHT_ALPHA)
     again = common.seen & ~known
     for part, observed in observer.observations(_share(progress, _FIRST_PASS, 1.0), wanted=again):
         printed = to_printed(diffuse[part], specular[part], roughness[part])
-        fit = fit_lobes(observed, observer.levels.noise, held_p_s=printed.p_s, held_sigma=printed.sigma)
-        refuted = doubtful[part] & _refuted(observed, fit.residual, residual[part])
-        kept = part[refuted]
-        known[kept], specular[kept] = True, own[0][kept]
-        shaped[kept] = lobes[kept]
-        roughness[kept] = np.where(lobes[kept], own[1][kept], roughness[kept])
-        store(part[~refuted], fit, ~refuted)
+        store(part, fit_lobes(observed, observer.levels.noise, held_p_s=printed.p_s, held_sigma=printed.sigma))
     correlation[~shaped] = 0.0
     values: Values = {
         "diffuse": _filled(observer, diffuse, common.seen),
@@ -191,44 +171,6 @@ def method_one(observer: Observer, progress: Progress) -> Estimates:
     shares = {"share_diffuse_measured": float(measured.mean()), "share_specular_measured": float(direct.mean())}
     progress(1.0)
     return Estimates(values | common.values(), common.statistics() | shares | counts)
-
-
-def _shaped(
-    observer: Observer, common: _Common, alpha: Array, std: Array, status: NDArray[np.int64]
-) -> tuple[Flags, Flags]:
-    """Pixels whose lobe is well determined, and those among them where it was also seen near its peak.
-
-    Where all observations lie beyond a narrow lobe, noise in them can pass for the tail of a wide one, which its own
-    width then seems to bring near. So a lobe that is not sure must also have been seen near the peak of lobes as wide
-    as those about it that are. Where none was seen near its peak, all are returned as if they had been.
-    """
-    with np.errstate(invalid="ignore"):
-        sharp = common.estimated & (std <= MOST_RELATIVE_STD * alpha)
-    lobes = np.asarray(sharp & (status == LOBE))
-    if not lobes.any():  # a surface whose highlights are all as wide as they can be
-        lobes = np.asarray(sharp & (status == LOBE_AT_BOUND))
-        return lobes, lobes.copy()
-    seen = lobes & _seen(common, alpha, LOBE_SEEN)
-    sure = lobes & _seen(common, alpha, LOBE_SURE)
-    if sure.any():
-        seen = sure | (seen & _seen(common, _filled(observer, alpha, sure), LOBE_SEEN))
-    return lobes, np.asarray(seen if seen.any() else lobes.copy())
-
-
-def _refuted(observed: Observations, held: Array, free: Array) -> Flags:
-    """Where the neighbours' lobe misses a pixel's observations by more than two more parameters do by chance.
-
-    `held` and `free` are residuals with the neighbours' lobe and with the pixel's own; the Bayesian information
-    criterion decides, as for a highlight's significance.
-    """
-    count = 3.0 * np.maximum(observed.usable.sum(axis=1), 1)
-    return np.asarray(held**2 > free**2 * (1 + 2 * np.log(count) / count))
-
-
-def _seen(common: _Common, alpha: Array, deviations: float) -> Flags:
-    """Where an observation lies within so many standard deviations of the peak of a lobe of roughness `alpha`."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray(common.nearest <= deviations * alpha / np.sqrt(2))
 
 
 def _start(observer: Observer) -> tuple[_Common, Array, Array, Array]:

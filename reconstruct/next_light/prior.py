@@ -25,8 +25,11 @@ from stage.planning.information.sensitivity import LOG_ROUGHNESS, SPECULAR
 
 Array = NDArray[np.float64]
 
-EXPECTATION_COUNTS = 0.02
-"""What the expected reflectance counts for beside points that were measured, as a share of all points."""
+EXPECTATION_COUNTS = 1.0
+"""What the expected reflectance counts for beside points that were measured, in points.
+
+Not a share of them: where no point of a thousand has a highlight, the next one has none, however many are left.
+"""
 
 _LARGEST = 0.95  # quantile at which P_s is cut before its spread is taken: a few points fit noise
 _LEAST_DIFFUSE = 1e-6  # 1/sr: a black object has a scale too
@@ -69,21 +72,21 @@ def prior_information(
     octave = np.rint(np.log2(sigma))
     for one in np.unique(octave):
         same = octave == one  # lights that would have shown a broad lobe say nothing of a sharp one
-        std[same, SPECULAR] = _spread(before, cut[same], measured[same], same.sum())
+        std[same, SPECULAR] = _spread(before, cut[same], measured[same])
     std[found, SPECULAR] = np.maximum(std[found, SPECULAR], p_s[found])
     if found.any():
         log_sigma, everyone = np.log(sigma[found]), np.ones(len(p_s))
-        std[~known, SPECULAR] = _spread(before, cut[known] - cut[known].mean(), everyone[known], len(p_s))
+        std[~known, SPECULAR] = _spread(before, cut[known] - cut[known].mean(), everyone[known])
         about = log_sigma - log_sigma.mean()
-        std[~known, LOG_ROUGHNESS] = _spread(LOG_ROUGHNESS_STD, about, everyone[found], len(p_s))
+        std[~known, LOG_ROUGHNESS] = _spread(LOG_ROUGHNESS_STD, about, everyone[found])
     std[:, SPECULAR] = np.hypot(std[:, SPECULAR], error)
     return _diagonal(std)
 
 
-def _spread(before: float, deviations: Array, weight: Array, points: int) -> float:
-    """Root mean square of weighted deviations, with what was expected `before` for some share of the `points` more."""
-    counts = EXPECTATION_COUNTS * points
-    return float(np.sqrt((counts * before**2 + weight @ deviations**2) / (counts + weight.sum())))
+def _spread(before: float, deviations: Array, weight: Array) -> float:
+    """Root mean square of weighted deviations, with what was expected `before` for `EXPECTATION_COUNTS` points more."""
+    square = EXPECTATION_COUNTS * before**2 + weight @ deviations**2
+    return float(np.sqrt(square / (EXPECTATION_COUNTS + weight.sum())))
 
 
 def _diagonal(std: Array) -> Array:

@@ -104,7 +104,7 @@ class MeasurabilityReport:
             )
         if isinstance(self.criterion, LobeCriterion):
             sigma = np.degrees(self.criterion.expected.roughness_rad)
-            return f", for the lobe of {sigma:.3g} degrees that is expected reaches that far"
+            return f", because the expected lobe of {sigma:.3g} degrees reaches that far"
         return ""
 
 

@@ -20,17 +20,17 @@ from numpy.typing import NDArray
 
 from stage.planning.cover import Covered, CoverProblem
 from stage.planning.exchange import pruned
-from stage.planning.least_lights import Integers, LeastLights, Vertex
+from stage.planning.least_lights import Integers, Vertex
 from stage.planning.planes import Planes
 from stage.planning.whole import rounded_up
 from stage.threads import cores, in_blocks
 
 Array = NDArray[np.float64]
 
-_TRIED = 8
+_TRIED = 16
 """Lights, the most fractional, of which the one to branch on is chosen by trying."""
 
-_TRIAL_STEPS = 30
+_TRIAL_STEPS = 60
 """Of the simplex method, for each trial."""
 
 _ROUNDS = 6
@@ -56,7 +56,9 @@ _BEYOND = 1e-3
 
 
 class Choice(NamedTuple):
-    """Attributes
+    """A choice of lights, and how few could do.
+
+    Attributes
     ----------
     lights : list of int
         The smallest choice known.

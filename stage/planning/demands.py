@@ -19,21 +19,6 @@ Mask = NDArray[np.bool_]
 _SIGNATURES_PER_BLOCK = 1 << 14
 
 
-class Given(NamedTuple):
-    """What a choice of lights gives.
-
-    Attributes
-    ----------
-    covered : int
-        Pixels whose demand is met.
-    one_more : (lights,) int
-        Pixels that each further light alone would make covered.
-    """
-
-    covered: int
-    one_more: Integers
-
-
 class Cut(NamedTuple):
     """A plane above the covered pixels: no x, whole or in fractions, covers more than ``constant + slope @ x``."""
 
@@ -124,20 +109,6 @@ class Demands:
         """Pixels that a choice covers."""
         return int(self.weight[self.met(chosen)].sum())
 
-    def given(self, chosen: Sequence[int]) -> Given:
-        """Pixels that a choice covers, and what one more light would add."""
-        mask = word_of(chosen, self.sets.shape[1])
-        parts: list[Given] = []
-
-        def work(start: int, stop: int) -> None:
-            gain = np.zeros(64 * len(mask), dtype=np.int64)
-            covered = _given(start, stop, self.sets, self.start, self.weight, self.need, mask, gain)
-            parts.append(Given(covered, gain[: self.lights]))
-
-        in_blocks(work, len(self), _SIGNATURES_PER_BLOCK)
-        none = np.zeros(self.lights, dtype=np.int64)
-        return Given(sum(p.covered for p in parts), sum((p.one_more for p in parts), none))
-
     def cut(self, x: Array) -> Cut:
         """The plane that touches, at `x`, the most that fractions of lights can cover.
 
@@ -185,43 +156,6 @@ def _met(first: int, last: int, sets: Words, start: Integers, need: int, mask: W
                 met = False
                 break
         out[g] = met
-
-
-@njit(cache=True, nogil=True)
-def _given(
-    first: int,
-    last: int,
-    sets: Words,
-    start: Integers,
-    weight: Integers,
-    need: int,
-    mask: Words,
-    gain: Integers,
-) -> int:
-    words = len(mask)
-    adds = np.zeros(words, dtype=np.uint64)
-    covered = 0
-    for g in range(first, last):
-        missing, open_sets = 0, 0
-        for i in range(start[g], start[g + 1]):
-            lacks = need - common(sets[i], mask)
-            if lacks <= 0:
-                continue
-            missing = max(missing, lacks)
-            if missing > 1:
-                break
-            for k in range(words):
-                adds[k] = sets[i, k] & ~mask[k] if open_sets == 0 else adds[k] & sets[i, k]
-            open_sets += 1
-        if missing == 0:
-            covered += weight[g]
-        elif missing == 1:
-            for k in range(words):
-                word = adds[k]
-                while word:
-                    gain[light_at(k, lowest(word))] += weight[g]
-                    word &= word - np.uint64(1)
-    return covered
 
 
 @njit(cache=True, nogil=True)

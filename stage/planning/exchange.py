@@ -7,7 +7,7 @@ was, and the lights moved last left alone for a few steps (tabu search).
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ def pruned(problem: CoverProblem, lights: Sequence[int], wanted: Covered) -> lis
 
 
 def fewer_by_exchange(
-    problem: CoverProblem, wanted: Covered, start: Sequence[int], deadline: float, least: int, seed: int
+    problem: CoverProblem, wanted: Covered, start: Sequence[int], deadline: float, least: Callable[[], int], seed: int
 ) -> list[int]:
     """A smaller choice that covers what is wanted, or `start` where none is found.
 
@@ -46,16 +46,16 @@ def fewer_by_exchange(
         A choice that covers them.
     deadline : float
         Of `time.monotonic`.
-    least : int
-        No choice is smaller than this.
+    least : callable
+        What no choice is smaller than, as far as is known when it is asked.
     seed : int
         Of the random choice among equals; equal seeds give equal answers where the time suffices.
     """
     rng = np.random.default_rng(seed)
     best = list(start)
-    while len(best) > least:
+    while len(best) > least() and time.monotonic() < deadline:
         search = _Exchange(problem, wanted, rng, deadline)
-        smaller = search.run(search.less_one(best))
+        smaller = search.run(search.less_one(best), least)
         if smaller is None:
             break
         best = pruned(problem, smaller, wanted)
@@ -65,7 +65,7 @@ def fewer_by_exchange(
 def better_by_exchange(problem: CoverProblem, start: Sequence[int], deadline: float, seed: int) -> list[int]:
     """As many lights that cover more, or `start`: more as the sum of both components' shares of their limits."""
     search = _Exchange(problem, problem.limit, np.random.default_rng(seed), deadline)
-    search.run(list(start))
+    search.run(list(start), int)
     return search.best
 
 
@@ -90,18 +90,19 @@ class _Exchange:
 
     def less_one(self, lights: Sequence[int]) -> list[int]:
         """The choice without the light that is missed least."""
-        without = [[other for other in lights if other != light] for light in lights]
-        return max(without, key=self._worth)
+        # to exchange it for one that is there already is to leave it out
+        out = int(self._worth_after_swaps(lights)[:, lights[0]].argmax())
+        return [*lights[:out], *lights[out + 1 :]]
 
-    def run(self, chosen: list[int]) -> list[int] | None:
-        """The first choice met that covers all that is wanted; None if none was."""
+    def run(self, chosen: list[int], least: Callable[[], int]) -> list[int] | None:
+        """The first choice met that covers all that is wanted; None if none was, or so few lights are too few."""
         lights = self._problem.lights
         self.best, most = chosen, self._worth(chosen)
         free_from = np.zeros(lights, dtype=np.int64)
         step, last_better = 0, 0
         while most < self._goal * (1 - 1e-12):
             step += 1
-            if step - last_better > _STALL_PER_LIGHT * lights:
+            if step - last_better > _STALL_PER_LIGHT * lights or len(chosen) < least():
                 return None
             swap = self._best_swap(chosen, free_from > step, most)
             if swap is None:
@@ -120,9 +121,7 @@ class _Exchange:
         """Worth after the best allowed swap, the light that goes and the one that comes; None when time is up."""
         if time.monotonic() > self._deadline:
             return None
-        after = np.zeros((len(chosen), self._problem.lights))
-        for part, want, limit in self._parts:
-            after += np.minimum(covered_after_swaps(part, chosen)[1], want) / limit
+        after = self._worth_after_swaps(chosen)
         # a light held still may move where that is better than anything so far
         barred = (held | held[chosen][:, None]) & (after <= most * (1 + 1e-12))
         barred[:, chosen] = True
@@ -135,3 +134,10 @@ class _Exchange:
 
     def _worth(self, chosen: Sequence[int]) -> float:
         return float(sum(min(part.covered(chosen), want) / limit for part, want, limit in self._parts))
+
+    def _worth_after_swaps(self, chosen: Sequence[int]) -> NDArray[np.float64]:
+        """Of each chosen light for each other: (chosen, lights); for one that is chosen too, of leaving it out."""
+        total = np.zeros((len(chosen), self._problem.lights))
+        for part, want, limit in self._parts:
+            total += np.minimum(covered_after_swaps(part, chosen)[1], want) / limit
+        return total

@@ -70,7 +70,7 @@ class LeastLights:
 
     def refreshed(self, vertex: Vertex) -> Vertex:
         """The same vertex, its inverse computed anew."""
-        return Vertex(vertex.active.copy(), np.linalg.inv(self._matrix(vertex)))
+        return Vertex(vertex.active.copy(), np.asarray(np.linalg.inv(self._matrix(vertex)), dtype=np.float64))
 
     def solve(
         self, vertex: Vertex, use: Integers, low: Array, high: Array, most: float, steps: int | None = None

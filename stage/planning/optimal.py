@@ -52,7 +52,10 @@ def plan_optimal(task: PlanningTask) -> LightPlan:
         return _most_by_count(task, problem, deadline)
     wanted = goal(task, problem)
     rule = replace(task, stop="target")
+    begun = time.monotonic()
     starts = [choose_greedily(rule, problem).chosen]
+    # the order of what is found takes about as long at the end
+    deadline = max(begun, deadline - (time.monotonic() - begun))
     # a ranking that needs more lights than greedy is no better start
     ranked = choose_by_rank(rule, problem, len(starts[0]))
     if ranked.reaches(wanted):
@@ -83,21 +86,19 @@ def fewest(
         return best, bound
     if wanted == problem.limit:
         return _fewest_for_all(task, problem, best, bound, deadline)
-    if problem.lights <= MOST_BRANCHED:
-        begun = time.monotonic()
-        relaxed = planes.fewest(wanted, deadline, len(best))
-        bound = _larger(bound, rounded_up(relaxed.bound), "linear relaxation")
-        until = min(time.monotonic() + _EXCHANGING * (deadline - begun), deadline)
-        best = fewer_by_exchange(problem, wanted, best, until, bound[0], task.seed)
-        if len(best) > bound[0]:
-            best, proved = fewest_by_branching(problem, wanted, planes, best, bound[0], deadline)
-            bound = _larger(bound, proved, "branch and bound")
-        return best, bound
+    begun, branched = time.monotonic(), problem.lights <= MOST_BRANCHED
+    until = begun + _EXCHANGING * (deadline - begun) if branched else deadline
+    floor = bound[0]
     with ThreadPoolExecutor(1) as beside:
-        # the relaxation has all the time, as that of any other plan has, so that its bound is no weaker
-        search = beside.submit(fewer_by_exchange, problem, wanted, best, deadline, bound[0], task.seed)
+        search = beside.submit(fewer_by_exchange, problem, wanted, best, until, lambda: floor, task.seed)
         relaxed = planes.fewest(wanted, deadline, len(best))
-        return search.result(), _larger(bound, rounded_up(relaxed.bound), "linear relaxation")
+        floor = max(floor, rounded_up(relaxed.bound))
+        best = search.result()
+    bound = _larger(bound, min(rounded_up(relaxed.bound), len(best)), "linear relaxation")
+    if branched and len(best) > bound[0]:
+        best, proved = fewest_by_branching(problem, wanted, planes, best, bound[0], deadline)
+        bound = _larger(bound, proved, "branch and bound")
+    return best, bound
 
 
 def ordered(problem: CoverProblem, lights: list[int]) -> Tally:
@@ -132,7 +133,7 @@ def _fewest_for_all(
         best = min(best, pruned(problem, _completed(problem, found, wanted), wanted), key=len)
         more, needs = missed_rows(problem, found)
         sets, need = undominated(*tightest_first(np.concatenate([sets, more]), np.concatenate([need, needs])))
-    return fewer_by_exchange(problem, wanted, best, deadline, bound[0], task.seed), bound
+    return fewer_by_exchange(problem, wanted, best, deadline, lambda: bound[0], task.seed), bound
 
 
 def _completed(problem: CoverProblem, lights: list[int], wanted: Covered) -> list[int]:

@@ -13,6 +13,9 @@ from stage.planning.task import LightPlan, PlanningTask
 ASKED = "the number asked for"
 """What bounds the number of lights where nothing is known of the surface."""
 
+_BOUND = 0.5
+"""Share of the time limit up to which a plan waits for its bound; `plan_optimal` looks longer and proves no less."""
+
 
 def problem_of(task: PlanningTask, method: str) -> CoverProblem:
     """Covering problem of a task; raises `InputError` where the method needs a surface and none is known."""
@@ -54,7 +57,7 @@ def outcome(method: str, task: PlanningTask, tally: Tally, bound: tuple[int, str
     wanted = p.wanted(task.target)
     # a plan of asked length is compared with the fewest lights for what it shows; it may show less than was wanted
     matched = wanted if task.count is None else tally.covered
-    fewest, how = bound or lower_bound(p, matched, p.begun_s + task.time_limit_s - time.monotonic())
+    fewest, how = bound or lower_bound(p, matched, p.begun_s + _BOUND * task.time_limit_s - time.monotonic())
     coverage: dict[str, float | None] = {}
     reached: dict[str, int | None] = {}
     for k, name in enumerate(("diffuse", "specular")):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
-from stage.planning.bits import Integers, Words, light_at, lowest, ones, word_of
+from stage.planning.bits import Integers, Words, light_at, lowest, word_of
 from stage.planning.demands import Demands, common
 
 
@@ -23,7 +23,7 @@ def covered_after_swaps(part: Demands, chosen: Sequence[int]) -> tuple[int, Inte
     -------
     covered : int
     after : (chosen, lights) int
-        With the k-th chosen light replaced by another; columns of chosen lights have no meaning.
+        With the k-th chosen light replaced by another; by one that is chosen as well: with the k-th one left out.
     """
     words = part.sets.shape[1]
     place = np.full(64 * words, -1)

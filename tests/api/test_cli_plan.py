@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -156,6 +157,14 @@ def test_a_page_is_written_beside_the_plan(found: Callable[..., Any], tmp_path: 
     text = page.read_text()
     assert all(word in text for word in ("greedy", "static", "farthest", "Where the light must go"))
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+def test_a_picture_is_written_beside_the_plan(found: Callable[..., Any], tmp_path: Path) -> None:
+    found("--target", 0.8, "--time-limit", 0.5, "--report", tmp_path / "plan.png")
+    picture = cv2.imread(str(tmp_path / "plan.png"))
+    assert picture is not None
+    assert picture.shape[1] == 1280
+    assert {path.name for path in tmp_path.iterdir() if path.suffix == ".png"} == {"plan.png"}
 
 
 @pytest.mark.parametrize(("options", "most"), [(("--tolerance", 50), 18), (("--count", 7), 7)])

@@ -17,6 +17,7 @@ from acquisition.dataset import IlluminationDataset, write_dataset
 from reconstruct.grey_levels import GreyLevels
 from reconstruct.next_light.belief import Belief, belief
 from reconstruct.next_light.display import Display
+from reconstruct.next_light.prior import prior_information
 from reconstruct.parametric import Lambert, MethodOne, ParametricModel, TorranceSparrow
 from stage.errors import InputError
 from stage.expected_reflectance import ExpectedReflectance
@@ -172,7 +173,7 @@ def test_next_light_goes_where_a_highlight_can_hide(tmp_path: Path, slants: tupl
     wanted = [at(half, azimuth) for half in range(0, 44, 4) for azimuth in range(5)]
     for aim in ("relighting", "a-optimal", "d-optimal"):
         assert known.design(candidates, wanted, aim).best() <= 5  # 15 degrees; the nearest seen were at 25
-    assert known.predicted_error(wanted, [at(3)]).parameters < 0.8 * known.predicted_error(wanted).parameters
+    assert known.predicted_error(wanted, [at(3)]).parameters < 0.85 * known.predicted_error(wanted).parameters
 
 
 def test_lights_that_came_close_and_showed_nothing_leave_no_doubt(tmp_path: Path) -> None:
@@ -182,8 +183,25 @@ def test_lights_that_came_close_and_showed_nothing_leave_no_doubt(tmp_path: Path
     assert not known.found.any()
     doubt = np.sqrt(known.covariance()[:, SPECULAR, SPECULAR])
     assert np.median(doubt) < 0.02 * np.median(known.p_d)
-    # and what was seen counts for what was not: the object is believed to be matte
-    assert (1 / np.sqrt(known.prior[:, SPECULAR, SPECULAR]) < 0.2 * np.median(known.p_d)).all()
+    # and what was seen counts for what was not: the object is believed to be matte (20 points of each width: 1 / 21)
+    assert (1 / np.sqrt(known.prior[:, SPECULAR, SPECULAR]) < 0.25 * np.median(known.p_d)).all()
+
+
+def test_where_no_point_of_many_has_a_highlight_the_next_has_none() -> None:
+    """One point that no light came near beside matte ones that were measured: its P_s fades as 1 / sqrt(points)."""
+
+    def unseen(measured: int) -> float:
+        count = measured + 1
+        information = np.zeros((count, 3, 3))
+        information[:, DIFFUSE, DIFFUSE] = 1e8
+        information[:-1, SPECULAR, SPECULAR] = 1e8
+        p_d, nothing, sigma = np.full(count, 0.15), np.zeros(count), np.full(count, 0.17)
+        known = np.ones(count, bool)
+        given = p_d, nothing, sigma, known, information, nothing
+        prior = prior_information(*given, ExpectedReflectance(diffuse=0.15, specular=0.15))
+        return float(1 / np.sqrt(prior[-1, SPECULAR, SPECULAR]))
+
+    assert_allclose([unseen(n) for n in (0, 3, 99, 999)], 0.15 / np.sqrt([1, 4, 100, 1000]), rtol=1e-3)
 
 
 def test_expected_reflectance_decides_while_nothing_was_found(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 
 from stage.errors import InputError
 from stage.lights import dome
@@ -16,11 +17,13 @@ from stage.planning import PlanningTask, plan
 from stage.planning.against_target import lights_against_target
 from stage.planning.apart import sets_apart
 from stage.planning.bits import table
-from stage.planning.coarse import coarsened
+from stage.planning.branching import fewest_by_branching
 from stage.planning.cover import CoverProblem, Tally
 from stage.planning.covering import fewest_lights, tightest_first, undominated
 from stage.planning.exchange import fewer_by_exchange
+from stage.planning.least_lights import LeastLights
 from stage.planning.planes import Planes
+from stage.planning.swaps import covered_after_swaps
 from stage.planning.whole import rounded_up
 
 Mask = NDArray[np.bool_]
@@ -102,10 +105,13 @@ def test_no_bound_exceeds_the_optimum(instance: tuple[Mask, Mask, Steps], target
     assert rounded_up(relaxed.bound) <= fewest
     found, proved = fewest_lights(problem, wanted).solve(10)
     assert rounded_up(proved) == fewest == len(found or [])
-    smaller = coarsened(problem, relaxed.x, 3)
-    assert max(len(smaller.diffuse), len(smaller.specular)) <= 3
-    assert smaller.limit == problem.limit
-    assert rounded_up(fewest_lights(smaller, wanted).solve(10)[1]) <= fewest
+    every = list(range(problem.lights))
+    lights, bound = fewest_by_branching(problem, wanted, Planes(problem), every, 0, time.monotonic() + 10)
+    assert bound == fewest == len(lights)
+    assert problem.reaches(lights, wanted)
+    # however short the time, what is left open counts
+    lights, bound = fewest_by_branching(problem, wanted, Planes(problem), every, 0, time.monotonic())
+    assert bound <= fewest <= len(lights)
 
 
 @given(instances(), st.booleans(), st.integers(1, 4))
@@ -125,6 +131,46 @@ def test_planes_lie_above_the_coverage_of_every_choice(
                 assert cut.at(x) >= part.covered(chosen) - 1e-9
                 # at whole lights the plane put there touches
                 assert part.cut(x).at(x) == pytest.approx(part.covered(chosen))
+
+
+@given(st.integers(1, 12), st.integers(0, 30), st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_least_lights_agree_with_highs_as_rows_come_and_bounds_move(lights: int, rows: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    programme = LeastLights(lights)
+    vertex, low, high = programme.start(), np.zeros(lights), np.ones(lights)
+    matrix, least = rng.normal(0.3, 0.5, (rows, lights)), rng.uniform(-0.5, 1.0, rows)
+    for row in range(rows):
+        programme.add(matrix[row], float(least[row]))
+        if row % 5 == 4:
+            light = rng.integers(lights)
+            low[light], high[light] = sorted(rng.integers(0, 2, 2).tolist())
+        value, x = programme.solve(vertex, np.arange(row + 1), low, high, np.inf)
+        proved = programme.proved(vertex, low, high)
+        known = linprog(np.ones(lights), -matrix[: row + 1], -least[: row + 1], bounds=np.stack([low, high], 1))
+        if known.status == 2:
+            assert np.isinf(value)
+            return
+        assert value == pytest.approx(known.fun, abs=1e-6)
+        assert proved == pytest.approx(known.fun, abs=1e-6)
+        assert programme.slack(x).min() > -1e-6
+        vertex = programme.refreshed(vertex)
+
+
+@given(instances(), st.booleans(), st.integers(1, 6), st.integers(0, 1000))
+@settings(max_examples=40, deadline=None)
+def test_every_swap_is_counted_as_the_choice_after_it(
+    instance: tuple[Mask, Mask, Steps], apart: bool, number: int, seed: int
+) -> None:
+    problem = CoverProblem.from_measurability(measured(*instance), APART_RAD if apart else None)
+    lights = problem.lights
+    chosen = np.random.default_rng(seed).permutation(lights)[: min(number, lights)].tolist()
+    for part in problem.components:
+        covered, after = covered_after_swaps(part, chosen)
+        assert covered == part.covered(chosen)
+        for place, into in itertools.product(range(len(chosen)), range(lights)):
+            swapped = [*chosen[:place], *chosen[place + 1 :]]
+            assert after[place, into] == part.covered(swapped if into in chosen else [*swapped, into])
 
 
 @given(instances(), st.integers(1, 7))
@@ -278,12 +324,12 @@ def test_the_bound_is_close_on_a_bowl() -> None:
 def test_exchange_needs_no_more_lights_than_it_starts_from() -> None:
     problem = CoverProblem.from_measurability(bowl(30, 2000, 2))
     wanted = problem.wanted(0.9)
-    found = fewer_by_exchange(problem, wanted, list(range(30)), time.monotonic() + 20, 1, 0)
+    found = fewer_by_exchange(problem, wanted, list(range(30)), time.monotonic() + 20, lambda: 1, 0)
     assert problem.reaches(found, wanted)
     assert len(found) < 20
-    assert found == fewer_by_exchange(problem, wanted, list(range(30)), time.monotonic() + 20, 1, 0)
+    assert found == fewer_by_exchange(problem, wanted, list(range(30)), time.monotonic() + 20, lambda: 1, 0)
     # without time only what costs no search is dropped
-    at_once = fewer_by_exchange(problem, wanted, list(range(30)), 0.0, 1, 0)
+    at_once = fewer_by_exchange(problem, wanted, list(range(30)), 0.0, lambda: 1, 0)
     assert problem.reaches(at_once, wanted)
     assert len(found) <= len(at_once) <= 30
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from collections import deque
 
+from acquisition.session.lanes import HEED_S
+
 
 class Gate:
     """Requests, each with its reason. All methods may be called from any thread.
@@ -86,4 +88,5 @@ class Gate:
     def wait_for_resume(self) -> None:
         """Wait until nobody wants a pause, or somebody wants the end."""
         with self._changed:
-            self._changed.wait_for(lambda: not self._pause or self._end)
+            while not self._changed.wait_for(lambda: not self._pause or self._end, HEED_S):
+                pass

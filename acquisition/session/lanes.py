@@ -11,6 +11,8 @@ from stage.clock import Clock
 
 Job = Callable[[], None]
 Fits = Callable[[int], bool]
+HEED_S = 0.5
+"""Longest wait at a time: a signal that comes just before a wait begins is heeded only when that is over."""
 
 
 class Lane:
@@ -64,7 +66,8 @@ class Lane:
             self._waiter = fits
         try:
             with self._clock.resting(), self._changed:
-                self._changed.wait_for(lambda: fits(len(self._jobs)))
+                while not self._changed.wait_for(lambda: fits(len(self._jobs)), HEED_S):
+                    pass
         finally:
             with self._changed:
                 handed_over, self._handed_over, self._waiter = self._handed_over, nullcontext(), None

@@ -13,6 +13,7 @@ from acquisition.dataset import IlluminationDataset
 from reconstruct.fitting.geometry import ObjectGeometry
 from reconstruct.model import Progress, model_class, no_progress
 from reconstruct.next_light.belief import Belief, belief
+from reconstruct.next_light.spreading import MISFIT, farthest_from
 from reconstruct.next_light.stopping import Outlook, Verdict, judge
 from reconstruct.next_light.thinning import CoarseGeometry, ThinnedDataset, coarse_grid
 from reconstruct.next_light.wanted import wanted_lights
@@ -130,7 +131,7 @@ class NextLight:
         Stop once the mean absolute error of held-out pictures over the object (``mae_object`` of
         `reconstruct.evaluate.Row`) is expected to be at most this, 8-bit grey levels. By default, and where it cannot
         be reached, the loop stops once all candidates together would make that error hardly smaller
-        (`reconstruct.next_light.stopping.NEGLIGIBLE`).
+        (`reconstruct.next_light.stopping.NEGLIGIBLE`, `UNSEEN`).
     aim : str
         What the next light shall make small: the expected squared error of pictures under `wanted_lights`
         (``relighting``), or trace (``a-optimal``) or determinant (``d-optimal``) of the parameters' covariance.
@@ -237,15 +238,22 @@ class NextLight:
         progress(0.7)
         left = [i for i in range(len(self.lights)) if i not in set(captured)]
         wanted = self._wanted_about(view.geometry)
+        expected = fit.belief.predicted_error(wanted)
         outlook = Outlook(
-            now=fit.belief.predicted_error(wanted).mean_absolute,
+            now=expected.mean_absolute,
             floor=fit.belief.predicted_error(wanted, [self.lights[i] for i in left]).mean_absolute,
             surprise=surprise,
             captured=len(captured),
             left=len(left),
+            misfit=expected.floor if self.aim == "relighting" and expected.floor > MISFIT else None,
         )
         verdict = judge(outlook, tolerance=self.tolerance, most=self.most)
-        chosen = () if verdict.stop else self._choose(fit.belief, left, wanted, len(captured))
+        chosen: tuple[int, ...] = ()
+        if not verdict.stop and outlook.misfit is not None:
+            count = min(self.batch, self.most - len(captured))
+            chosen = farthest_from(self.lights, captured, left, count, centre=_middle(view.geometry))
+        elif not verdict.stop:
+            chosen = self._choose(fit.belief, left, wanted, len(captured))
         progress(1.0)
         return self._decision(chosen, verdict, outlook)
 
@@ -285,8 +293,7 @@ class NextLight:
     def _wanted_about(self, geometry: ObjectGeometry) -> list[Light]:
         if self._wanted is not None:
             return self._wanted
-        centre = np.zeros(3) if geometry.points is None else geometry.points.mean(axis=0)
-        return wanted_lights(self.lights, centre=centre)
+        return wanted_lights(self.lights, centre=_middle(geometry))
 
     def _choose(self, known: Belief, left: list[int], wanted: list[Light], captured: int) -> tuple[int, ...]:
         """The batch that teaches most."""
@@ -299,3 +306,8 @@ class NextLight:
     @staticmethod
     def _decision(chosen: tuple[int, ...], verdict: Verdict, outlook: Outlook) -> Decision:
         return Decision(chosen, verdict.reason, outlook.predicted, outlook.predicted_floor, outlook.ratio)
+
+
+def _middle(geometry: ObjectGeometry) -> NDArray[np.float64]:
+    """Point that lights are seen from: the object's middle, or the origin where only its normals are known."""
+    return np.zeros(3) if geometry.points is None else np.asarray(geometry.points.mean(axis=0))

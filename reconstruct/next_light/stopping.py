@@ -7,6 +7,9 @@ from dataclasses import dataclass
 NEGLIGIBLE = 0.05
 """All lights that are left may together take at most this share off the error for the loop to end."""
 
+UNSEEN = 0.025
+"""... or as many grey levels, a tenth of what rounding to 8 bits costs: no picture would look any different."""
+
 SURPRISED = 1.5
 """The latest photographs came out so many times worse than predicted: the prediction is then no reason to stop."""
 
@@ -29,6 +32,9 @@ class Outlook:
         Error of the latest photographs' prediction over what was expected; None before there are any.
     captured, left : int
         Candidates.
+    misfit : float or None
+        Root mean square grey levels by which the model is off whatever its parameters are, where that is too much to
+        choose lights by its covariance.
     """
 
     now: float
@@ -36,6 +42,7 @@ class Outlook:
     surprise: float | None
     captured: int
     left: int
+    misfit: float | None = None
 
     @property
     def ratio(self) -> float:
@@ -76,6 +83,8 @@ def judge(outlook: Outlook, *, tolerance: float | None, most: int) -> Verdict:
     """
     o = outlook
     error = f"held-out pictures are expected to be off by {o.predicted:.2f} grey levels"
+    if o.misfit is not None:
+        error += f" (the model itself is off by {o.misfit:.1f} root mean square, so lights are spread evenly)"
     if not o.left:
         return Verdict(True, f"Every light is captured; {error}.")
     if o.captured >= most:
@@ -87,15 +96,10 @@ def judge(outlook: Outlook, *, tolerance: float | None, most: int) -> Verdict:
         return Verdict(False, f"Going on after {o.captured} lights: {error}, but {how}.")
     if tolerance is not None and o.predicted <= tolerance:
         return Verdict(True, f"Enough after {o.captured} lights: {error}, within the wanted {tolerance:g}.")
-    if o.floor * (1 + NEGLIGIBLE) >= o.now:
+    others = f"all {o.left} others together would take {100 * o.gain:.0f} % off that"
+    reachable = tolerance is not None and o.predicted_floor <= tolerance
+    little = o.floor * (1 + NEGLIGIBLE) >= o.now or o.predicted - o.predicted_floor <= UNSEEN
+    if little and not reachable:
         missed = "" if tolerance is None else f"; the wanted {tolerance:g} cannot be reached with these lights"
-        return Verdict(
-            True,
-            f"Nothing more to gain after {o.captured} lights: {error}, and all {o.left} others together would take "
-            f"{100 * o.gain:.0f} % off that{missed}.",
-        )
-    return Verdict(
-        False,
-        f"Going on after {o.captured} lights: {error}, and all {o.left} others together would take "
-        f"{100 * o.gain:.0f} % off that.",
-    )
+        return Verdict(True, f"Nothing more to gain after {o.captured} lights: {error}, and {others}{missed}.")
+    return Verdict(False, f"Going on after {o.captured} lights: {error}, and {others}.")

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from acquisition.dataset import IlluminationDataset, open_dataset
+from acquisition.dataset import IlluminationDataset, open_dataset, write_dataset
 from reconstruct.fitting.geometry import ObjectGeometry
 from reconstruct.next_light import NextLight, planned_surface
+from reconstruct.next_light.spreading import farthest_from
 from reconstruct.next_light.stopping import SURPRISED, Outlook, judge
 from reconstruct.next_light.thinning import CoarseGeometry, ThinnedDataset, coarse_grid
 from reconstruct.next_light.wanted import wanted_lights
@@ -52,12 +53,18 @@ def test_goes_on_while_the_others_would_help() -> None:
         ({}, 1.5, 28, "within the wanted 1.5"),
         ({"floor": 1.45}, None, 28, "Nothing more to gain"),
         ({"floor": 1.45}, 0.5, 28, "cannot be reached"),
+        # a third less, of next to nothing
+        ({"now": 0.06, "floor": 0.04}, None, 28, "33 % off"),
     ],
 )
 def test_stops_with_the_reason(changed: dict[str, Any], tolerance: float | None, most: int, words: str) -> None:
     verdict = judge(outlook(**changed), tolerance=tolerance, most=most)
     assert verdict.stop
     assert words in verdict.reason
+
+
+def test_a_little_is_worth_having_where_it_reaches_what_is_wanted() -> None:
+    assert not judge(outlook(floor=1.45), tolerance=1.46, most=28).stop
 
 
 @pytest.mark.parametrize("surprise", [None, SURPRISED * 1.01])
@@ -68,6 +75,42 @@ def test_a_prediction_that_failed_or_was_never_checked_ends_nothing(
     assert not judge(outlook(floor=1.5, surprise=surprise), tolerance=tolerance, most=28).stop
     # but a person's limit does
     assert judge(outlook(surprise=surprise), tolerance=tolerance, most=8).stop
+
+
+def test_says_when_the_model_itself_is_wrong() -> None:
+    assert (
+        "off by 7.0 root mean square, so lights are spread evenly"
+        in judge(outlook(misfit=7.0), tolerance=None, most=28).reason
+    )
+    assert "spread" not in judge(outlook(), tolerance=None, most=28).reason
+
+
+def test_spreading_takes_what_is_farthest_from_all_that_is_captured() -> None:
+    lights = far(np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0], [0.6, 0, 0.8], [0, -1, 0]], dtype=float))
+    # from the zenith and +x, both ends of y are a right angle away; the second of them is then opposite the first
+    assert farthest_from(lights, [0, 1], [2, 3, 4], 2, centre=(0, 0, 0)) == (2, 4)
+    assert farthest_from(lights, [0, 1], [2, 3, 4], 9, centre=(0, 0, 0)) == (2, 4, 3)
+    # near lights are seen from the centre: from there the third is beside the first
+    placed = near(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 5.0], [1.0, 0.0, 0.0]]))
+    assert farthest_from(placed, [0], [1, 2], 1, centre=(0, 0, 0)) == (2,)
+
+
+def test_where_the_model_is_wrong_lights_are_spread(tmp_path: Path) -> None:
+    """Pictures that no reflectance explains: each is as bright as it likes."""
+    ball, gains = Ball((40, 40)), np.random.default_rng(3).uniform(0.4, 1.6, len(DOME))
+    frames = [(light, ball.photograph(light) * np.float32(gain)) for light, gain in zip(DOME, gains, strict=True)]
+    dataset = write_dataset(
+        tmp_path / "set", name="strange", frames=frames, camera=ball.camera, depth=ball.depth, mask=ball.mask
+    )
+    captured = list(range(0, 32, 4))
+    spread = NextLight(DOME).decide(dataset, captured, captured)
+    assert "spread evenly" in spread.reason
+    left = [i for i in range(32) if i not in captured]
+    centre = ObjectGeometry.of(dataset).points
+    assert centre is not None
+    assert spread.lights == farthest_from(DOME, captured, left, 1, centre=centre.mean(axis=0))
+    # parameters are asked for by their covariance all the same
+    assert "spread" not in NextLight(DOME, aim="a-optimal").decide(dataset, captured, captured).reason
 
 
 def test_surprise_corrects_the_prediction() -> None:

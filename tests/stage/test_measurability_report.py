@@ -99,4 +99,7 @@ def test_where_no_highlight_is_expected_none_is_missed() -> None:
 def test_a_rough_surface_hears_why_it_has_no_diffuse_only_light() -> None:
     rough = LobeCriterion(ExpectedReflectance(roughness_rad=float(np.radians(30))))
     [sentence] = of_ball(hemisphere(5, 12), rough).report().sentences()
-    assert "have no diffuse-only light among the 60 candidates, for the lobe of 30 degrees that is expected" in sentence
+    assert (
+        "have no diffuse-only light among the 60 candidates, because the expected lobe of 30 degrees reaches"
+        in sentence
+    )
